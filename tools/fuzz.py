@@ -12,16 +12,16 @@ codes: 0 nothing was found; 1 something was; 2 a mistake in the command line.
 
 import argparse
 import contextlib
-import json
+import multiprocessing
 import os
-import queue
-import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from importlib import import_module
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,8 @@ PATIENCE = 120.0
 START = 180.0
 #: Bytes that a process may take beyond what it has when it begins.
 MEMORY = 500 << 20
+#: Gets the number of a case, its seconds, its findings and its input.
+Report = Callable[[int, float, list[str], bytes], None]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -46,13 +48,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", type=int, help="run this one case, here")
     parser.add_argument("--patience", type=float, default=PATIENCE, metavar="SECONDS",
                         help=f"of the clock for one case [default: {PATIENCE}]")  # fmt: skip
-    parser.add_argument("--work", nargs=2, type=int, metavar=("FIRST", "STEP"),
-                        help=argparse.SUPPRESS)  # fmt: skip
     given = parser.parse_args(arguments)
     if given.count < 1 or given.jobs < 1 or given.seed < 0:
         parser.error("--count and --jobs: expected at least 1; --seed: at least 0")
-    if given.work is not None:
-        return work(given.target, given.seed, given.count, *given.work)
     if given.only is not None:
         return repeat(given.target, given.seed, given.only, given.keep)
     return supervise(given.target, given.seed, given.count, given.jobs, given.keep, given.patience)
@@ -101,109 +99,62 @@ def limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 
-def work(target: str, seed: int, count: int, first: int, step: int) -> int:
-    """Run every `step`-th case from `first` on, and say so in lines of JSON."""
-    said = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    # What libraries print is not for the supervisor.
+def work(pipe: Connection, target: str, seed: int, numbers: list[int]) -> None:
+    """Run cases, and tell of each through a pipe; what libraries print is let go."""
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 1)
     os.dup2(nothing, 2)
-
-    def say(**told: Any) -> None:
-        print(json.dumps(told), file=said, flush=True)
-
     with tempfile.TemporaryDirectory() as folder:
         here = Path.cwd()
         try:
             cases = make_target(target, Path(folder))
         except FileNotFoundError as error:
-            say(failed=str(error))
-            return 2
-        limited = False
-        for number in range(first, count, step):
-            say(number=number)
+            pipe.send(("failed", str(error)))
+            return
+        for number in numbers:
+            pipe.send(("begun", number))
             _, data, run = cases.case(rng_of(seed, number))
             began = time.monotonic()
             found = run()
-            seconds = time.monotonic() - began
-            say(done=number, seconds=seconds, found=found, data=data.hex() if found else "")
-            if not limited:  # what is imported by the first case is not its own
+            pipe.send(("done", time.monotonic() - began, found, data if found else b""))
+            if number == numbers[0]:  # what is imported by the first case is not its own
                 limit_memory()
-                limited = True
         os.chdir(here)
-    say(end=True)
-    return 0
 
 
-class Share:
-    """Every `step`-th case from `first` on, in a process that is started anew when one ends.
-
-    Parameters
-    ----------
-    target : str
-    seed, count, first, step : int
-    patience : float
-        Seconds that one case may take.
-    report : callable
-        Called with the number of a case, its seconds, its findings and its input.
-    """
-
-    def __init__(
-        self, target: str, seed: int, count: int, first: int, step: int, patience: float,
-        report: Any,
-    ) -> None:  # fmt: skip
-        self.target, self.seed, self.count, self.step = target, seed, count, step
-        self.next, self.patience, self.report, self.failed = first, patience, report, ""
-
-    def run(self) -> None:
-        """Run all."""
-        while self.next < self.count and not self.failed:
-            self._run_process()
-
-    def _run_process(self) -> None:
-        command = [
-            sys.executable, str(Path(__file__).resolve()), self.target, "--count", str(self.count),
-            "--seed", str(self.seed), "--work", str(self.next), str(self.step),
-        ]  # fmt: skip
-        running: int | None = None
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-            lines: queue.Queue[str] = queue.Queue()
-            reader = threading.Thread(target=self._read, args=(process.stdout, lines), daemon=True)
-            reader.start()
-            ended = ""
-            while not ended:
-                try:
-                    line = lines.get(timeout=START if running is None else self.patience)
-                except queue.Empty:
+def share(target: str, seed: int, numbers: list[int], patience: float, report: Report) -> str:
+    """Run cases in a process, started anew where it ends; return why it cannot be, or nothing."""
+    context = multiprocessing.get_context("spawn")
+    while numbers:
+        ours, theirs = context.Pipe(duplex=False)
+        process = context.Process(target=work, args=(theirs, target, seed, numbers))
+        process.start()
+        theirs.close()
+        running, ended = False, ""
+        while numbers and not ended:
+            try:
+                if not ours.poll(patience if running else START):
                     process.kill()
-                    ended = f"no end after {self.patience:g} s"
+                    ended = f"no end after {patience:g} s"
                     break
-                told = json.loads(line) if line else {"gone": True}
-                if "failed" in told:
-                    self.failed = told["failed"]
-                    ended = "failed"
-                elif "number" in told:
-                    running = told["number"]
-                elif "done" in told:
-                    self.report(running, told["seconds"], told["found"], told["data"])
-                    self.next = told["done"] + self.step
-                elif "end" in told:
-                    self.next = self.count
-                    ended = "done"
-                else:
-                    ended = f"the process ended with code {process.wait()}"
-        if ended not in ("done", "failed"):
-            if running is None or running < self.next:
-                self.failed = f"no process could be started: {ended}"
-                return
-            self.report(running, 0.0, [ended], "")
-            self.next = running + self.step
-
-    @staticmethod
-    def _read(stream: Any, lines: "queue.Queue[str]") -> None:
-        for line in stream:
-            lines.put(line)
-        lines.put("")
+                kind, *told = ours.recv()
+            except EOFError:
+                process.join()
+                ended = f"the process ended with code {process.exitcode}"
+                break
+            if kind == "failed":
+                return str(told[0])
+            running = kind == "begun"
+            if kind == "done":
+                report(numbers[0], *told)
+                numbers = numbers[1:]
+        process.join()
+        if ended and not running:
+            return f"no process could be started: {ended}"
+        if ended:
+            report(numbers[0], 0.0, [ended], b"")
+            numbers = numbers[1:]
+    return ""
 
 
 def supervise(
@@ -212,7 +163,7 @@ def supervise(
     """Run all cases in processes, print what is found, and sum it up."""
     lock, findings, seconds, began = threading.Lock(), Counter(), [], time.monotonic()
 
-    def report(number: int, taken: float, found: list[str], data: str) -> None:
+    def report(number: int, taken: float, found: list[str], data: bytes) -> None:
         with lock:
             seconds.append(taken)
             for finding in found:
@@ -222,16 +173,21 @@ def supervise(
                     f"    python tools/fuzz.py {target} --seed {seed} --only {number}", flush=True
                 )
             if data and keep is not None:
-                _keep(keep, target, seed, number, bytes.fromhex(data))
+                _keep(keep, target, seed, number, data)
 
-    shares = [Share(target, seed, count, first, jobs, patience, report) for first in range(jobs)]
-    threads = [threading.Thread(target=share.run) for share in shares]
+    failed: set[str] = set()
+
+    def run(first: int) -> None:
+        numbers = list(range(first, count, jobs))
+        failed.add(share(target, seed, numbers, patience, report))
+
+    threads = [threading.Thread(target=run, args=(first,)) for first in range(jobs)]
     for thread in threads:
         thread.start()
     with contextlib.suppress(KeyboardInterrupt):
         for thread in threads:
             thread.join()
-    failed = {share.failed for share in shares} - {""}
+    failed.discard("")
     for line in failed:
         print(f"fuzz: error: {line}", file=sys.stderr)
     if failed:

@@ -15,13 +15,7 @@ SOURCE = Path(__file__).parents[2] / "tests" / "helpers" / "api_values.py"
 
 
 class Target:
-    """Cases of this kind.
-
-    Parameters
-    ----------
-    folder : Path
-        Where calls may leave files.
-    """
+    """Cases of this kind, whose calls may leave files in a folder."""
 
     def __init__(self, folder: Path) -> None:
         if not SOURCE.exists():

@@ -2,8 +2,6 @@
 
 import json
 import os
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from io import BytesIO
@@ -13,20 +11,20 @@ from typing import Any
 import numpy as np
 import tomli_w
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from clmorph.cli.main import main
 from clmorph.cli.main import morph as command
-from clmorph.output.formats.webp import as_exif
-from clmorph.output.metadata import as_png_info
 from clmorph.output.provenance import read_parameters
 from fuzzing.mutations import mutated
+from fuzzing.quiet import Quiet
 
 #: Seconds that one run may take.
 PATIENCE = 20.0
 #: Characters of an error.
 LONGEST = 1500
 #: What the runs print beside errors.
-REMARKS = ("device:", "memory:", "note:")
+REMARKS = ("device:", "memory:", "note:", "preset:")
 #: Files that clmorph writes, by ending.
 KINDS = ("gif", "png", "apng", "webp", "html", "npz", "mp4", "tif")
 #: Values of every type that TOML and JSON have, at their limits.
@@ -41,18 +39,8 @@ NASTY: tuple[Any, ...] = (
 WORDS = ("auto", "balanced", "linear", "source", "target", "8x8", "white", "1", "optimal", 0.1, 2)
 
 
-def _parameters() -> dict[str, Any]:
-    return {str(one.name): one for one in command.params if one.name not in ("images", "config")}
-
-
 class Target:
-    """Cases of this kind.
-
-    Parameters
-    ----------
-    folder : Path
-        Where runs are made.
-    """
+    """Cases of this kind, whose runs are made in a folder."""
 
     def __init__(self, folder: Path) -> None:
         os.chdir(folder)
@@ -60,7 +48,8 @@ class Target:
         for name, shape in (("a.png", (5, 6, 3)), ("b.png", (6, 4, 3))):
             Image.fromarray(rng.integers(0, 255, shape, np.uint8)).save(name)
         self.folder = folder
-        self.options = _parameters()
+        names = ("images", "config")
+        self.options = {str(each.name): each for each in command.params if each.name not in names}
         self.written: dict[str, bytes] = {}
         for kind in KINDS:
             with Quiet():
@@ -73,8 +62,7 @@ class Target:
 
     def case(self, rng: np.random.Generator) -> tuple[str, bytes, Callable[[], list[str]]]:
         """Return what is tried, the offending input if it offends, and what tries it."""
-        makers = (self._toml, self._damaged_toml, self._recipe, self._damaged_recipe,
-                  self._damaged_file, self._embedded)  # fmt: skip
+        makers = (self._toml, self._recipe, self._damaged_file, self._embedded)
         name, data = makers[rng.integers(len(makers))](rng)
         arguments = ["morph", "--config", name, "--size", "6", "--frames", "3"]
         if rng.random() < 0.5:
@@ -96,9 +84,7 @@ class Target:
         if getattr(self.options[name], "is_flag", False):
             return bool(rng.random() < 0.5)
         if name == "output":
-            return ["out.gif", "out.png", "out.webp", ["out.npz", "out2.html"], "out"][
-                rng.integers(5)
-            ]
+            return ["out.gif", "out.png", ["out.npz", "out2.html"], "out"][rng.integers(4)]
         if kind.name == "integer":
             return int(rng.integers(1, 9))
         if kind.name == "float":
@@ -115,15 +101,15 @@ class Target:
         }
 
     def _toml(self, rng: np.random.Generator) -> tuple[str, bytes]:
+        """Return settings, half of the time damaged."""
         settings = {"images": ["a.png", "b.png"]} | self._settings(rng)
         try:
-            return "in.toml", tomli_w.dumps(settings).encode("utf-8", "surrogatepass")
+            data = tomli_w.dumps(settings).encode("utf-8", "surrogatepass")
         except (TypeError, ValueError):  # what TOML does not have, such as None
-            return "in.toml", repr(settings).encode("utf-8", "replace")
-
-    def _damaged_toml(self, rng: np.random.Generator) -> tuple[str, bytes]:
-        _, data = self._toml(rng)
-        return "in.toml", mutated(rng, data, b'[[a]]\nb = {c = 1}\n"\\u0000" = """')
+            data = repr(settings).encode("utf-8", "replace")
+        if rng.random() < 0.5:
+            data = mutated(rng, data, b'[[a]]\nb = {c = 1}\n"\\u0000" = """')
+        return "in.toml", data
 
     def _told(self, rng: np.random.Generator) -> dict[str, Any]:
         """Return the parameters of a file, some of them others."""
@@ -132,9 +118,8 @@ class Target:
         if kind == 0:
             told["options"] |= self._settings(rng)
         elif kind == 1:
-            told[str(rng.choice(["options", "images", "device", "clmorph", "morphs"]))] = NASTY[
-                rng.integers(len(NASTY))
-            ]
+            name = str(rng.choice(["options", "images", "device", "clmorph", "morphs"]))
+            told[name] = NASTY[rng.integers(len(NASTY))]
         elif kind == 2:
             image = told["images"][rng.integers(len(told["images"]))]
             image[str(rng.choice(["file", "sha256", "more"]))] = NASTY[rng.integers(len(NASTY))]
@@ -143,13 +128,13 @@ class Target:
         return dict(told)
 
     def _recipe(self, rng: np.random.Generator) -> tuple[str, bytes]:
-        return "in.json", json.dumps(self._told(rng)).encode()
-
-    def _damaged_recipe(self, rng: np.random.Generator) -> tuple[str, bytes]:
-        _, data = self._recipe(rng)
-        if rng.random() < 0.05:
-            return "in.json", b'{"clmorph": ' + b"[" * 100_000
-        return "in.json", mutated(rng, data, b'{"a": [1, {}]}')
+        """Return a recipe, half of the time damaged."""
+        data = json.dumps(self._told(rng)).encode()
+        if rng.random() < 0.03:
+            data = b'{"clmorph": ' + b"[" * 100_000
+        elif rng.random() < 0.5:
+            data = mutated(rng, data, b'{"a": [1, {}]}')
+        return "in.json", data
 
     def _damaged_file(self, rng: np.random.Generator) -> tuple[str, bytes]:
         kind = str(rng.choice(list(self.written)))
@@ -167,12 +152,11 @@ class Target:
         if kind == "gif":
             picture.save(stream, "GIF", comment=text.encode("utf-8", "replace"))
         elif kind == "png":
-            info = as_png_info({})
-            info.chunks.clear()
+            info = PngInfo()
             info.add_text("clmorph", text, zip=bool(rng.random() < 0.5))
             picture.save(stream, "PNG", pnginfo=info)
         elif kind == "webp":
-            exif = as_exif({})
+            exif = Image.Exif()
             exif[0x010E] = text
             picture.save(stream, "WEBP", exif=exif)
         elif kind == "npz":
@@ -219,9 +203,8 @@ class Target:
         return found
 
     def _files(self) -> set[str]:
-        return {
-            str(file.relative_to(self.folder)) for file in self.folder.rglob("*") if file.is_file()
-        }
+        files = (file for file in self.folder.rglob("*") if file.is_file())
+        return {str(file.relative_to(self.folder)) for file in files}
 
 
 #: Options of the runs that make files to be damaged.
@@ -250,31 +233,3 @@ def _faults(code: Any, text: str) -> list[str]:
         if not line.isprintable() or len(line) > LONGEST:
             found.append(f"not a short printable line: {line!r}"[:400])
     return found
-
-
-class Quiet:
-    """Keeps what this process prints to itself, C libraries included."""
-
-    def __enter__(self) -> "Quiet":
-        sys.stdout.flush()
-        sys.stderr.flush()
-        self._kept = [os.dup(number) for number in (1, 2)]
-        self._out, self._err = tempfile.TemporaryFile(), tempfile.TemporaryFile()
-        os.dup2(self._out.fileno(), 1)
-        os.dup2(self._err.fileno(), 2)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        for number, kept in zip((1, 2), self._kept, strict=True):
-            os.dup2(kept, number)
-            os.close(kept)
-        self._out.close()
-        self._err.seek(0)
-        self._text = self._err.read().decode("utf-8", "replace")
-        self._err.close()
-
-    def text(self) -> str:
-        """Return what was printed to stderr."""
-        return self._text

@@ -33,13 +33,7 @@ def shared() -> tuple[Any, ...]:
 
 
 class Target:
-    """Cases of this kind.
-
-    Parameters
-    ----------
-    folder : Path
-        Where files are made.
-    """
+    """Cases of this kind, whose files are made in a folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

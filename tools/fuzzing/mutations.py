@@ -156,15 +156,7 @@ MUTATIONS: Sequence[Callable[[Rng, bytearray, bytes], None]] = (
 
 
 def mutated(rng: Rng, data: bytes, other: bytes) -> bytes:
-    """Return a damaged copy of a file.
-
-    Parameters
-    ----------
-    rng : Generator
-    data : bytes
-    other : bytes
-        Another file, of which parts may be taken.
-    """
+    """Return a damaged copy of a file; parts of another one may be taken."""
     made = bytearray(data)
     for _ in range(int(rng.choice([1, 1, 1, 2, 3]))):
         MUTATIONS[int(rng.integers(len(MUTATIONS)))](rng, made, other)
