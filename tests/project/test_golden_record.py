@@ -25,9 +25,9 @@ def tool(monkeypatch):
             return SimpleNamespace(returncode=tool.main())
 
     small = ("small", "ab", ".npz", ("--size", "6", "--frames", "2"))
-    monkeypatch.setattr(tool, "COMMANDS", (small,))
-    monkeypatch.setattr(tool, "calls", lambda backend, folder: iter([("a call", [1.0])]))
-    monkeypatch.setattr(tool.subprocess, "run", run)
+    monkeypatch.setattr(tool.cases, "COMMANDS", (small,))
+    monkeypatch.setattr(tool.cases, "calls", lambda backend, folder: iter([("a call", [1.0])]))
+    monkeypatch.setattr(tool, "subprocess", SimpleNamespace(run=run, DEVNULL=None))
     return tool
 
 

@@ -1,1 +1,0 @@
-"""Adapters through which other libraries' tests of entropic transport run on clmorph."""
