@@ -80,9 +80,8 @@ def a_few_steps(steps: Steps, g: np.ndarray, epsilon: float, precise: bool) -> l
     steps.update_rows()
     steps.take_back()
     steps.update_rows()
-    residual = steps.update_columns()
-    found = steps.reached(residual)
-    return [found.f, found.g, found.t_columns, np.array([steps.row_dual[1], steps.column_dual])]
+    steps.update_columns()
+    return [*steps.potentials(), np.array([steps.row_dual[1], steps.column_dual])]
 
 
 def exercise(operations: Operations) -> list[np.ndarray]:

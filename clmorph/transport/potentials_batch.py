@@ -9,9 +9,8 @@ import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
 from clmorph.transport._solver.batch import one_measured
-from clmorph.transport._solver.batch_iteration import BatchIteration
-from clmorph.transport._solver.batch_steps import segments
-from clmorph.transport._solver.symmetric import SymmetricIteration
+from clmorph.transport._solver.iteration import Iteration
+from clmorph.transport._solver.reductions import Segments
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import outcome
@@ -99,7 +98,7 @@ class Solved:
     def __init__(
         self,
         numbers: IntArray,
-        iteration: BatchIteration | SymmetricIteration,
+        iteration: Iteration,
         given: Regularization,
     ) -> None:
         self.numbers, self._iteration, self._given = numbers, iteration, given
@@ -113,7 +112,9 @@ class Solved:
     def make(self, place: int) -> Potentials:
         """Return the potentials of a problem, by its place among these."""
         of, given = self._iteration, self._given
-        rows, columns = segments(of.problem)
+        rows, columns = of.problem.reductions
+        assert isinstance(rows, Segments)
+        assert isinstance(columns, Segments)
         f, t_rows = rows.part(of.f, place), rows.part(of.t_rows, place)
         g, t_columns = columns.part(of.g, place), columns.part(of.t_columns, place)
         roundoffs = float(of.roundoffs[0, place]), float(of.roundoffs[1, place])

@@ -27,8 +27,8 @@ from clmorph.transport._solver.iteration import SHORT, Iteration
 from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS
-from clmorph.transport._solver.state import measured
-from clmorph.transport._solver.symmetric import Alone, SymmetricIteration, is_symmetric
+from clmorph.transport._solver.state import Outcome, measured
+from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import (
     AlgorithmOptions,
     Method,
@@ -212,28 +212,26 @@ def solve(
     """
     limit = problem.truncation
     options = given.blur, tol, max_iter, precision, report
-    iteration: Iteration | Multiscale | Alone
+    ended: Outcome | Multiscale
+    many = len(problem.a) * len(problem.b) >= MANY_PAIRS and max_iter >= SHORT
     if g is None and multiscale is not True and is_symmetric(pair, given.rho):
-        symmetric = SymmetricIteration(problem, *options)
-        symmetric.run()
-        iteration = symmetric.alone()
+        ended = solve_symmetric(problem, *options).alone()
+    elif many if multiscale == "auto" else multiscale:
+        ended = Multiscale(problem, pair, *options)
+        ended.run(g)
     else:
-        many = len(problem.a) * len(problem.b) >= MANY_PAIRS and max_iter >= SHORT
-        coarse = many if multiscale == "auto" else multiscale
-        if coarse:
-            iteration = Multiscale(problem, pair, *options)
-        else:
-            iteration = Iteration(problem, *options, exact=exact)
+        iteration = Iteration(problem, *options, exact=exact)
         iteration.run(g)
+        ended = iteration.alone()
     if verify and limit is not None:
-        _take_all_pairs(iteration, given.epsilon)
-    found = _finish(iteration, given, limit)
-    return replace(found, passes=_passes(iteration)) if keep else found
+        _take_all_pairs(ended, given.epsilon)
+    found = _finish(ended, given, limit)
+    return replace(found, passes=_passes(ended)) if keep else found
 
 
-def _passes(iteration: Iteration | Multiscale | Alone) -> LastPasses | None:
+def _passes(ended: Outcome | Multiscale) -> LastPasses | None:
     """Return what the last softmins have found out; None if they have summed all pairs."""
-    problem, state = iteration.problem, iteration.state
+    problem, state = ended.problem, ended.state
     near = problem.to_rows.near, problem.to_columns.near
     if near[0] is None or near[1] is None:
         return None
@@ -242,14 +240,14 @@ def _passes(iteration: Iteration | Multiscale | Alone) -> LastPasses | None:
     )
 
 
-def _take_all_pairs(iteration: Iteration | Multiscale | Alone, epsilon: float) -> None:
+def _take_all_pairs(ended: Outcome | Multiscale, epsilon: float) -> None:
     """Compute the last softmins once more, over all pairs."""
-    problem, state = iteration.problem, iteration.state
+    problem, state = ended.problem, ended.state
     for softmin in (problem.to_rows, problem.to_columns):
         softmin.release()
-    iteration.state = measured(problem, state.f, state.g, epsilon)
-    if iteration.state.residual > iteration.tol and iteration.status == "converged":
-        iteration.status = "precision"
+    ended.state = measured(problem, state.f, state.g, epsilon)
+    if ended.state.residual > ended.tol and ended.status == "converged":
+        ended.status = "precision"
 
 
 def _geomloss(
@@ -262,8 +260,7 @@ def _geomloss(
 ) -> Potentials:
     rounding = problem.rounding(given.epsilon, precise=False)
     precise = precision == "float64" or (precision == "auto" and rounding > 0.1 * tol)
-    f, g = geomloss_schedule.run(problem, given.blur, scaling, precise, report)
-    n_iter = problem.n_softmin // 2
+    f, g, n_iter = geomloss_schedule.run(problem, given.blur, scaling, precise, report)
     state = measured(problem, f, g, given.epsilon)
     residual = state.residual
     return Potentials(
@@ -279,19 +276,19 @@ def _geomloss(
 
 
 def _finish(
-    iteration: Iteration | Multiscale | Alone, given: Regularization, truncation: float | None
+    ended: Outcome | Multiscale, given: Regularization, truncation: float | None
 ) -> Potentials:
     """Return the potentials that the iteration has reached."""
-    problem, state = iteration.problem, iteration.state
+    problem, state = ended.problem, ended.state
     message = outcome(
-        iteration.status, iteration.n_iter, state.residual, iteration.tol, iteration.rounding,
-        iteration.precision,
+        ended.status, ended.n_iter, state.residual, ended.tol, ended.rounding,
+        ended.precision,
     )  # fmt: skip
     return Potentials(
-        state.f, state.g, given.blur, given.reach, iteration.status, message, iteration.n_iter,
-        state.residual, np.array(iteration.residuals),
+        state.f, state.g, given.blur, given.reach, ended.status, message, ended.n_iter,
+        state.residual, np.array(ended.residuals),
         problem.certificate(state.f, state.g, state.t_rows, state.t_columns, given.epsilon),
-        iteration.precise, truncation, problem.error, problem.visited,
+        ended.precise, truncation, problem.error, problem.visited,
     )  # fmt: skip
 
 

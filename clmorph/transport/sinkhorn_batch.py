@@ -15,15 +15,15 @@ from clmorph.errors import InputError
 from clmorph.measures.many import Checked, as_many
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.batch import NotFiniteError, problem_of_many
-from clmorph.transport._solver.batch_iteration import BatchIteration
 from clmorph.transport._solver.checks import (
     check_problem,
     check_solver_options,
     choose_truncation,
 )
+from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS, overflow
-from clmorph.transport._solver.symmetric import SymmetricIteration, is_symmetric
+from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import AlgorithmOptions, Precision, Reach, SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.potentials_batch import Part, PotentialsBatch, Single, Solved
@@ -226,12 +226,11 @@ def solve_many(
                 )
             else:
                 problem = problem_of_many(operations, own, given.rho)
-                iteration: SymmetricIteration | BatchIteration
                 if is_symmetric(own[0], given.rho):
-                    iteration = SymmetricIteration(problem, given.blur, *options)
+                    iteration = solve_symmetric(problem, given.blur, *options)
                 else:
-                    iteration = BatchIteration(problem, given.blur, *options, exact)
-                iteration.run()
+                    iteration = Iteration(problem, given.blur, *options, exact=exact)
+                    iteration.run()
                 parts.append(Solved(np.array(numbers), iteration, given))
         except NotFiniteError as error:
             raise overflow(f"{name(numbers[error.problem])}: points") from None

@@ -111,8 +111,9 @@ def test_rounding_beyond_its_bound_leaves_the_acceleration(bias):
             problem, 0.03, 1e-4, 5000, "auto", lambda share: None, certify=False
         )  # fmt: skip
         iteration.run(np.zeros(80))
-        assert iteration.status == "converged"
-        return iteration.n_iter
+        found = iteration.alone()
+        assert found.status == "converged"
+        return found.n_iter
 
     assert iterations(bias) <= 1.5 * iterations(0.0)
 
@@ -132,7 +133,7 @@ def test_extrapolation_solves_a_linear_problem_at_once(rng):
     offset = basis @ rng.normal(size=4)
     solution = np.linalg.solve(np.eye(30) - matrix, offset)
     memory, x = Anderson(), np.zeros(30)
-    memory._trust_radius = 1e6
+    memory._region.radius = 1e6
     for _ in range(9):
         image = matrix @ x + offset
         x, _ = memory.extrapolate(x, image, np.ones(30))
@@ -195,10 +196,10 @@ def test_rounding_ends_an_iteration_after_its_patience(rng, monkeypatch, patienc
     monkeypatch.setattr(Problem, "residual", lambda *given: 0.5)
     for rounding, expected in ((1.0, 1 + patience), (0.01, 40)):
         monkeypatch.setattr(Problem, "rounding", lambda *given, value=rounding: value)
-        problem.n_softmin = 0
         iteration = Iteration(
             problem, 0.1, 1e-3, 40, "float64", lambda share: None, certify=False, patience=patience
         )
         iteration.run(np.zeros(30))
-        assert iteration.n_iter == expected
-        assert iteration.status == ("precision" if rounding == 1.0 else "max_iter")
+        found = iteration.alone()
+        assert found.n_iter == expected
+        assert found.status == ("precision" if rounding == 1.0 else "max_iter")

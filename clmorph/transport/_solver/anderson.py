@@ -13,13 +13,43 @@ import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import MEMORY, MIXING, RIDGE
-from clmorph.transport._solver.reductions import WHOLE, Reductions, Segments
+from clmorph.transport._solver.reductions import WHOLE, Reductions
 
 #: Initial radius of the trust region, in steps of the plain iteration; its growth factor after a
 #: good extrapolation that the radius had limited, and its factor after a bad extrapolation.
 TRUST_RADIUS, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25
 #: The least length of a step, which only keeps the quotient by it finite.
 TINY = float(np.finfo(float).tiny)
+
+
+class TrustRegion:
+    """How far extrapolations may go: for each problem a radius in steps of the plain iteration.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        As in `Reductions`.
+    """
+
+    def __init__(self, shape: tuple[int, ...] = ()) -> None:
+        self.radius: Any = np.full(shape, TRUST_RADIUS)
+        #: Whether it limited the last extrapolation.
+        self.was_cut: Any = np.zeros(shape, bool)
+
+    def accepted(self, which: Any = True) -> None:
+        """Enlarge the region if it limited the last extrapolation, which was good."""
+        grown = which & self.was_cut
+        if np.any(grown):
+            self.radius = np.where(grown, GROWTH * self.radius, self.radius)
+
+    def rejected(self, which: Any = True) -> None:
+        """Shrink the region after a bad extrapolation."""
+        shrunk = np.maximum(1.0, SHRINKAGE * self.radius)
+        self.radius = np.where(which, shrunk, self.radius)
+
+    def take(self, problems: IntArray) -> None:
+        """Go on with some of the problems."""
+        self.radius, self.was_cut = self.radius[problems], self.was_cut[problems]
 
 
 class Anderson:
@@ -35,8 +65,7 @@ class Anderson:
 
     def __init__(self, of: Reductions = WHOLE) -> None:
         self._of = of
-        self._trust_radius = np.full(of.shape, TRUST_RADIUS)
-        self._was_cut = np.zeros(of.shape, bool)
+        self._region = TrustRegion(of.shape)
         self._begin()
 
     def _begin(self) -> None:
@@ -55,32 +84,29 @@ class Anderson:
 
     def accepted(self, which: Any = True) -> None:
         """Enlarge the trust region if it limited the last extrapolation, which was good."""
-        grown = self._trust_radius * GROWTH
-        self._trust_radius = np.where(which & self._was_cut, grown, self._trust_radius)
+        self._region.accepted(which)
 
     def rejected(self, which: Any = True) -> None:
         """Shrink the trust region after a bad extrapolation, and forget all iterates."""
-        shrunk = np.maximum(1.0, SHRINKAGE * self._trust_radius)
-        self._trust_radius = np.where(which, shrunk, self._trust_radius)
+        self._region.rejected(which)
         if np.all(which):
             self._begin()
             return
         self._begun = self._begun & ~which
         self._stored[which] = False
 
-    def take(self, problems: IntArray, points: IntArray, of: Segments) -> None:
+    def take(self, problems: IntArray, points: Any, of: Reductions) -> None:
         """Go on with some of the problems.
 
         Parameters
         ----------
         problems, points : arrays of int
             Indices of the problems, and of their points.
-        of : Segments
-            The reductions over these.
+        of : Reductions
+            Those over these problems.
         """
         self._of = of
-        self._trust_radius = self._trust_radius[problems]
-        self._was_cut = self._was_cut[problems]
+        self._region.take(problems)
         self._begun, self._stored = self._begun[problems], self._stored[problems]
         self._products = self._products[problems]
         count = min(self._next, MEMORY)
@@ -129,8 +155,8 @@ class Anderson:
         if not np.any(found):
             return image, found
         correction = of.combined(coefficients, self._ahead[: coefficients.shape[-1]])
-        step, factor, cut = limited_step(of, residual, correction, weights, self._trust_radius)
-        self._was_cut = found & cut
+        step, factor, cut = limited_step(of, residual, correction, weights, self._region.radius)
+        self._region.was_cut = found & cut
         return image + of.scaled(found * factor, step), found
 
     def _coefficients(self, residual: Array, weights: Array) -> tuple[Array, Any]:

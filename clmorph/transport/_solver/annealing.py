@@ -26,7 +26,7 @@ FEWER = 0.7
 #: Annealing begins at a level with at most this number of pairs of clusters.
 FEW_PAIRS = 1 << 20
 #: Residual to reach at a level, in units of its epsilon.
-LEVEL_TOLERANCE = 0.05
+CLUSTER_TOLERANCE = 0.05
 #: Iterations at a level without a new best residual after which it ends, if rounding explains that:
 #: the next level goes on anyway.
 LEVEL_PATIENCE = 10
@@ -103,11 +103,11 @@ def anneal(
         problems.append(_level_problem(problem, level, problems[-1]))
     for level, coarse in reversed(list(zip(levels, problems[1:], strict=True))):
         iteration = Iteration(
-            coarse, level.blur, LEVEL_TOLERANCE, max_iter, "float32", ignore, certify=False,
+            coarse, level.blur, CLUSTER_TOLERANCE, max_iter, "float32", ignore, certify=False,
             patience=LEVEL_PATIENCE,
         )  # fmt: skip
         iteration.run(g)
-        state = iteration.state
+        state = iteration.alone().state
         problems.pop()
         # Potentials are close to linear in epsilon, of which three quarters go at each level, so
         # the line through the last two levels is continued to the next one.

@@ -62,6 +62,9 @@ class BatchSoftmin:
             raise NotFiniteError(int(self.numbers[problem]))
         return softmin
 
+    def settle(self, residual: Any) -> None:
+        """Choose nothing: all pairs are summed."""
+
     def rounding(
         self,
         n_columns: int,
@@ -140,16 +143,16 @@ class _Side:
 
 
 def some(problem: Problem, problems: IntArray) -> Problem:
-    """Return some of many problems.
+    """Return some of many problems; the only one as it is.
 
     Parameters
     ----------
     problem : Problem
-        Made by this function, or by `problem_of_many`.
+        One problem, or made by this function or by `problem_of_many`.
     problems : (k,) array
         Their numbers, ascending.
     """
-    if len(problems) == problem.of_rows.shape[0]:
+    if len(problems) == np.size(problem.masses[0]) or not problem.of_rows.shape:
         return problem
     sides = []
     for of, weights, cloud in (
@@ -157,13 +160,16 @@ def some(problem: Problem, problems: IntArray) -> Problem:
     ):  # fmt: skip
         assert isinstance(of, Segments)
         kept = problem.operations.take_batch(cloud, problems)
-        sides.append((Segments(of.counts[problems]), weights[of.points_of(problems)], kept))
+        sides.append((of.some(problems), weights[of.points_of(problems)], kept))
     (of_rows, a, rows), (of_columns, b, columns) = sides
-    numbers = problem.to_rows.numbers[problems]
+    numbers, operations = problem.to_rows.numbers[problems], problem.operations
+    to_rows = BatchSoftmin(operations, rows, columns, of_rows, of_columns, numbers)
+    to_columns = to_rows
+    if problem.to_columns is not problem.to_rows:
+        to_columns = BatchSoftmin(operations, columns, rows, of_columns, of_rows, numbers)
     made = Problem(
-        BatchSoftmin(problem.operations, rows, columns, of_rows, of_columns, numbers),
-        BatchSoftmin(problem.operations, columns, rows, of_columns, of_rows, numbers),
-        (a, b), problem.rho, problem.largest_cost[problems], (of_rows, of_columns),
+        to_rows, to_columns, (a, b), problem.rho, problem.largest_cost[problems],
+        (of_rows, of_columns),
     )  # fmt: skip
     one, other = problem.oscillations
     made.oscillations = one[problems], other[problems]

@@ -36,8 +36,8 @@ def run(
     scaling: float,
     precise: bool,
     report: Callable[[float], None],
-) -> tuple[Array, Array]:
-    """Return f and g after the schedule."""
+) -> tuple[Array, Array, int]:
+    """Return f and g after the schedule, and the number of its iterations."""
     schedule = blurs(float(np.sqrt(2 * problem.largest_cost)), blur, scaling)
 
     def both(f: Array, g: Array, epsilon: float) -> tuple[Array, Array]:
@@ -51,4 +51,4 @@ def run(
         new_f, new_g = both(f, g, level**2)
         f, g = 0.5 * (f + new_f), 0.5 * (g + new_g)
         report((number + 1) / len(schedule))
-    return both(f, g, blur**2)
+    return *both(f, g, blur**2), len(schedule) + 2

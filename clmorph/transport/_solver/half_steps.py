@@ -37,7 +37,7 @@ class ColumnStep(NamedTuple):
     dual: Any
 
 
-def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any, enough: float = 0.0) -> RowStep:
+def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any, enough: Any = 0.0) -> RowStep:
     """Maximize the dual over f and a shift of g, given T(g) (paper, 3.1).
 
     Parameters
@@ -51,13 +51,13 @@ def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any, enough: float
     """
     f, g_shifted, t_rows, log_mass = problem.update_f(g, softmin, epsilon)
     of_rows = problem.of_rows
-    mass = _exp(log_mass) if enough else of_rows.sum(problem.row_mass(f, t_rows, epsilon))
+    mass = _exp(log_mass) if np.any(enough) else of_rows.sum(problem.row_mass(f, t_rows, epsilon))
     dual = problem.dual(f, g_shifted, mass, epsilon, enough)
     return RowStep(f, g_shifted, t_rows, mass, dual, log_mass)
 
 
 def column_step(
-    problem: Problem, before: RowStep, softmin: Any, epsilon: Any, enough: float = 0.0
+    problem: Problem, before: RowStep, softmin: Any, epsilon: Any, enough: Any = 0.0
 ) -> ColumnStep:
     """Maximize the dual over g and a shift of f, given T(f) (paper, 3.1).
 
@@ -74,7 +74,7 @@ def column_step(
     residual = problem.residual(before.f, before.g, before.t_rows, softmin, epsilon)
     image, f, t_columns, log_mass = problem.update_g(before.f, softmin, epsilon, before.log_mass)
     mass = problem.column_mass(image, t_columns, epsilon)
-    plan_mass = _exp(log_mass) if enough else problem.of_columns.sum(mass)
+    plan_mass = _exp(log_mass) if np.any(enough) else problem.of_columns.sum(mass)
     dual = problem.dual(f, image, plan_mass, epsilon, enough)
     return ColumnStep(f, image, t_columns, residual, mass, dual)
 
@@ -99,8 +99,3 @@ def without_drift(problem: Problem, guess: Any, image: Any, column_mass: Any) ->
         return guess
     of = problem.of_columns
     return guess - of.spread(of.inner(column_mass, guess - image) / of.sum(column_mass))
-
-
-def new_difference(begun: Any, now: Any, before: Any) -> Any:
-    """Return how a vector has changed since the last iterate; 0 if none is stored."""
-    return np.where(begun, now - before, 0.0)

@@ -1,28 +1,35 @@
-"""The accelerated iteration behind `clmorph.sinkhorn`.
+"""The accelerated iteration behind `clmorph.sinkhorn` and `clmorph.sinkhorn_batch`.
 
 The solver maximizes the dual at a sequence of falling blurs (annealing). At each blur it
 extrapolates the half-steps of Sinkhorn (`_solver.anderson`). It takes an extrapolation back if the
 dual is then below the value that the plain half-step had reached, by more than rounding explains.
 So but for rounding the dual never falls at one blur, and the limit is that of the plain iteration.
+
+One problem and many are solved by the same lines: what a loop knows of a problem is a number, or an
+array with a number for each of the problems, see `_solver.reductions`. Many problems take a step
+together, so that one launch of a kernel serves them all, and each stops by itself.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from clmorph._shared.progress import Share
-from clmorph._shared.typing import Array
+from clmorph._shared.typing import Array, BoolArray, IntArray
+from clmorph.transport._solver.batch import some
 from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.reductions import Reductions
 from clmorph.transport._solver.state import (
     ROUNDING_MARGIN,
+    Outcome,
     State,
-    measured,
     needs_more,
     share_done,
     slack_of,
 )
-from clmorph.transport._solver.steps import Reached, Steps, new_steps
+from clmorph.transport._solver.steps import Steps, new_steps
 
 #: Factor between the blurs of the annealing.
 ANNEALING = 0.5
@@ -48,24 +55,53 @@ REPEATED = (0.8, 0.4)
 EXACT_SHARE = 0.5
 #: A dual may fall by this many times the largest fall that was seen after a plain half-step.
 NOISE_MARGIN = 2.0
+#: Problems that have stopped are taken out of the vectors once they are this share of those there.
+STOPPED = 1 / 16
 #: The iteration changes from float32 to better exponents at this many times the measured rounding
 #: of float32.
 LEAVING_MARGIN = 4.0
 
 
+@dataclass
+class Reached:
+    """Potentials of some problems after the last half-step of a level."""
+
+    of: tuple[Reductions, Reductions]  #: over their rows and over their columns
+    numbers: IntArray  #: (k,) their numbers
+    f: Array
+    g: Array
+    t_columns: Array
+    residual: Array  #: (k,) before that half-step
+    precise: bool
+    steps: Steps | None  #: steps that can go on with all of them, if there are such
+
+    def some(self, which: BoolArray) -> "Reached":
+        """Return this for some of the problems."""
+        if which.all():
+            return self
+        places = np.flatnonzero(which)
+        rows, columns = (of.points_of(places) for of in self.of)
+        return Reached(
+            (self.of[0].some(places), self.of[1].some(places)), self.numbers[places],
+            self.f[rows], self.g[columns], self.t_columns[columns],
+            self.residual[places], self.precise, None,
+        )  # fmt: skip
+
+
 class Iteration:
-    """One solve by Sinkhorn's iteration, annealed and extrapolated.
+    """The solve of one problem, or of many, by Sinkhorn's iteration, annealed and extrapolated.
 
     Parameters
     ----------
     problem : Problem
+        One problem, or B problems made by `problem_of_many`; below, B is 1 for one problem.
     blur : float
         Blur of the last level.
     tol : float
         Residual to reach there, in units of epsilon.
     max_iter : int
-        Largest number of iterations, those of the annealing included; one iteration takes two
-        softmins.
+        Largest number of iterations, those of the annealing included; one iteration takes
+        `softmins`.
     precision : {"auto", "float32", "float64"}
     report : callable
         A function that is called with the share of the work that is done.
@@ -77,25 +113,28 @@ class Iteration:
     exact : bool
         Whether the levels before the last are solved to `tol`, too, and all with exact sums: where
         groups of points stand far apart, mass finds its way between them at large blurs alone.
+    steps : callable
+        A function that returns the steps of a problem.
+    softmins : int
+        Softmins of an iteration.
+    n_softmin : int
+        Softmins of iterations before these, which count.
 
     Attributes
     ----------
-    state : State
-        The result: potentials, softmins and residual.
-    status : {"converged", "max_iter", "precision"}
-    residuals : list of float
-    rounding : float
+    f, g, t_rows, t_columns : (N,), (M,), (N,) and (M,) arrays
+        The result: potentials and their softmins.
+    residual : (B,) array
+    roundoffs : (2, B) array
+        The bounds of the rounding of T(g) and T(f), in nats.
+    status : (B,) array of {"converged", "max_iter", "precision"}
+    rounding : (B,) array
         Largest residual that rounding alone can cause, in units of epsilon.
-    precise : bool
+    precise : (B,) array of bool
         Whether float32 exponents were too coarse for `tol`.
-    n_measured : int
-        Number of softmins that only measured or certified: they are no iterations.
+    n_softmin : (B,) array
+        Number of softmins of iterations; those that only measure or certify do not count.
     """
-
-    state: State
-    status: str
-    rounding: float
-    precise: bool
 
     def __init__(
         self,
@@ -108,171 +147,272 @@ class Iteration:
         certify: bool = True,
         patience: int = STALLED,
         exact: bool = False,
+        steps: Callable[[Problem], Steps] = new_steps,
+        softmins: int = 2,
+        n_softmin: int = 0,
     ) -> None:
         self.problem, problem.exact_sums = problem, exact
         self._level_tol = tol if exact else LEVEL_TOLERANCE
         self.tol, self.precision, self._certify = tol, precision, certify
-        self._patience = patience
-        self.residuals: list[float] = []
+        self._patience, self._new_steps, self._softmins = patience, steps, softmins
         self._blur, self._max_iter, self._report = blur, max_iter, report
         self._done, self._level_share, self._reported = 0.0, 1.0, 0.0
-        self.n_measured = 0
+        self._everyone = np.arange(np.size(problem.masses[0]))
+        count = len(self._everyone)
+        self.f, self.t_rows = np.zeros(len(problem.a)), np.zeros(len(problem.a))
+        self.g, self.t_columns = np.zeros(len(problem.b)), np.zeros(len(problem.b))
+        self.residual, self.rounding = np.full(count, np.inf), np.zeros(count)
+        self.roundoffs = np.zeros((2, count))
+        self.status = np.full(count, "max_iter", object)
+        self.precise = np.zeros(count, bool)
+        self.n_softmin = np.full(count, n_softmin)
+        self._records: list[tuple[IntArray, Any, Any]] = []
 
     @property
-    def n_iter(self) -> int:
-        """Iterations so far; softmins that only measure or certify do not count."""
-        return -(-(self.problem.n_softmin - self.n_measured) // 2)
+    def n_iter(self) -> IntArray:
+        """Iterations of each problem so far."""
+        return np.asarray(-(-self.n_softmin // self._softmins))
 
-    def run(self, start: Array | None) -> None:
-        """Iterate from potentials g, or from the largest blur of the annealing."""
-        g = np.zeros(len(self.problem.b)) if start is None else start
+    def histories(self) -> list[Array]:
+        """Return the residuals of each of many problems after each of its iterations."""
+        numbers, values = (
+            np.concatenate([record[part][record[1]] for record in self._records]) for part in (0, 2)
+        )
+        order = np.argsort(numbers, kind="stable")
+        ends = np.cumsum(np.bincount(numbers, minlength=len(self.n_softmin)))
+        return np.split(values[order], ends[:-1])
+
+    def alone(self) -> Outcome:
+        """Return the result of one problem."""
+        return Outcome(
+            self.problem,
+            State(self.f, self.g, self.t_rows, self.t_columns, float(self.residual[0])),
+            self.status[0], [float(residual) for *_, residual in self._records],
+            int(self.n_softmin[0]),
+            int(self.n_iter[0]), float(self.rounding[0]), self.tol, self.precision,
+            bool(self.precise[0]),
+        )  # fmt: skip
+
+    def run(self, start: Array | None = None) -> None:
+        """Iterate from potentials g, or from the largest blur of each problem's annealing."""
+        problem, columns = self.problem, self.problem.of_columns
+        g = np.zeros(len(problem.b)) if start is None else start
+        before, tops = np.zeros_like(g), np.atleast_1d(top_blur(problem.largest_cost))
         levels = []
         if start is None:
-            levels = annealing(self.problem, self._blur, self.problem.largest_cost, self._max_iter)
+            levels = annealing(problem, self._blur, float(tops.max()), self._max_iter)
         self._level_share = 1.0 / (len(levels) + 3)
-        before: tuple[float, Array] | None = None
+        limit = int(ANNEALING_SHARE * self._max_iter)
         for number, level in enumerate(levels):
-            epsilon = level**2
-            limit = int(ANNEALING_SHARE * self._max_iter)
-            precise = needs_more(self.problem, self.precision, epsilon, self._level_tol)
-            reached = self._iterate(g, epsilon, self._level_tol, limit, precise).g
-            g = reached
-            if before is not None:
-                # Potentials are close to linear in epsilon, so the line through the last two
-                # levels is continued to the next one.
-                following = (levels[number + 1] if number + 1 < len(levels) else self._blur) ** 2
-                g = g + (reached - before[1]) * (epsilon - following) / (before[0] - epsilon)
-            before = epsilon, reached
+            epsilon, following = level**2, [*levels, self._blur][number + 1] ** 2
+            # Potentials are close to linear in epsilon, so the line through the last two levels is
+            # continued to the next one.
+            beyond = (tops > level / ANNEALING) & (number > 0)
+            more = needs_more(problem, self.precision, epsilon, self._level_tol)
+            for precise in (False, True):
+                numbers = np.flatnonzero((tops > level) & (more == precise))
+                if not len(numbers):
+                    continue
+                points = columns.points_of(numbers)
+                reached = self._iterate(
+                    numbers, g[points], epsilon, self._level_tol, limit, precise
+                )
+                step = (reached.g - before[points]) * (epsilon - following)
+                step = step / ((level / ANNEALING) ** 2 - epsilon)
+                step = np.where(reached.of[1].spread(beyond[numbers]), step, 0.0)
+                g[points], before[points] = reached.g + step, reached.g
             self._done += self._level_share
         self._level_share = 1.0 - self._done
         self._last_level(g)
         self._report_share(1.0)
 
     def _report_share(self, share: float) -> None:
-        """Report the share of the work that is done, which never falls, and the residual."""
+        """Report the share of the work that is done, which never falls."""
         self._reported = max(self._reported, share)
-        note = f"residual {self.residuals[-1]:.0e} of {self.tol:.0e}" if self.residuals else ""
+        if self.problem.of_rows.shape:
+            note = f"{np.count_nonzero(self.residual <= self.tol)} of {len(self.status)} problems"
+        else:
+            note = f"residual {self._records[-1][2]:.0e} of {self.tol:.0e}"
         self._report(Share(self._reported, note))
 
     def _last_level(self, g: Array) -> None:
         """Iterate in float32 as far as its rounding allows, then with better exponents."""
-        epsilon, limit = self._blur**2, self._max_iter
-        self.precise = needs_more(self.problem, self.precision, epsilon, self.tol)
-        operations = self.problem.operations
-        steps = new_steps(self.problem)
+        problem, epsilon, limit = self.problem, self._blur**2, self._max_iter
+        operations, exact = problem.operations, problem.exact_sums
+        self.precise[:] = needs_more(problem, self.precision, epsilon, self.tol)
+        begun = Reached(
+            problem.reductions,
+            self._everyone,
+            self.f,
+            g,
+            self.t_columns,
+            self.residual,
+            False,
+            None,
+        )
+        left = [(precise, begun.some(self.precise == precise)) for precise in (False, True)]
         if self.precision == "auto" and operations.exponent_roundoff > operations.precise_roundoff:
-            coarse_tol = self.tol
-            if self.precise:
-                coarse_tol = max(self.tol, LEAVING_MARGIN * self._measured_rounding(g, epsilon))
-            reached = self._iterate(
-                g, epsilon, coarse_tol, limit, precise=False, steps=steps, leave=True
-            )
-            out = self.status == "max_iter" and reached.residual > coarse_tol
-            if out or not self.precise:
-                # Float32 was enough if precise softmins confirm the residual.
-                self._measure(reached, epsilon, precise=True)
-                if out or self.status == "converged":
-                    return
-            precise, g = True, reached.g
-        else:
-            precise = self.precise
-        for share in (1.0, *REPEATED):
-            reached = self._iterate(g, epsilon, share * self.tol, limit, precise, steps)
-            converged = self.status == "converged"
-            self._measure(reached, epsilon, precise)
-            options = self.status, self.precision, self.tol, self.problem.error
-            if self._certify and may_sum_exactly(self.problem, *options):
-                self.problem.exact_sums, g = True, reached.g
-                steps = new_steps(self.problem)
-                continue
-            if self.status == "converged" or not converged or self.n_iter >= limit:
-                return
-            # The bound of the rounding lifted the residual above the tolerance: iterate further.
-            g = reached.g
+            tol = np.full(len(self._everyone), self.tol)
+            if self.precise.any():
+                measured = LEAVING_MARGIN * self._measured_rounding(left[1][1], epsilon)
+                tol[self.precise] = np.maximum(self.tol, measured)
+            reached = self._iterate(self._everyone, g, epsilon, tol, limit, False, leave=True)
+            out = (self.status == "max_iter") & (reached.residual > tol)
+            # Float32 was enough if precise softmins confirm the residual.
+            checked = out | ~self.precise
+            self._measure(reached.some(checked), epsilon, precise=True)
+            left = [(True, reached.some(~(out | (checked & (self.status == "converged")))))]
+        for precise, rest in left:
+            problem.exact_sums = exact
+            for share in (1.0, *REPEATED):
+                if not len(rest.numbers):
+                    break
+                reached = self._iterate(
+                    rest.numbers, rest.g, epsilon, share * self.tol, limit, precise,
+                    steps=rest.steps,
+                )  # fmt: skip
+                converged = self.status[rest.numbers] == "converged"
+                self._measure(reached, epsilon, precise)
+                status = self.status[rest.numbers]
+                # The bound of the rounding can have lifted a residual above the tolerance.
+                again = converged & (status != "converged")
+                if self._certify:
+                    bounds = self.roundoffs.max(axis=0)[rest.numbers]
+                    further = may_sum_exactly(problem, status, self.precision, self.tol, bounds)
+                    again |= further
+                    if further.any():
+                        problem.exact_sums, reached.steps = True, None
+                rest = reached.some(again & (self.n_iter[rest.numbers] < limit))
 
     def _measure(self, reached: Reached, epsilon: float, precise: bool) -> None:
-        """Compute the softmins of the potentials that are returned, and their residual."""
-        f, g, t_columns, _, was_precise = reached
+        """Compute the softmins of the potentials that are returned, and their residuals."""
+        numbers, f, g = reached.numbers, reached.f, reached.g
+        if not len(numbers):
+            return
+        problem = some(self.problem, numbers)
         if self._certify:
-            self.state = measured(self.problem, f, g, epsilon)
+            t_rows, t_columns = problem.bounded_softmins(f, g, epsilon)
         else:
-            t_rows = self.problem.softmin_rows(g, epsilon, precise)
-            self.n_measured += 1
-            if precise != was_precise:
-                t_columns = self.problem.softmin_columns(f, epsilon, precise)
-                self.n_measured += 1
-            residual = self.problem.residual(f, g, t_rows, t_columns, epsilon)
-            self.state = State(f, g, t_rows, t_columns, residual)
-        self.residuals.append(self.state.residual)
-        if self.state.residual <= self.tol:
-            self.status = "converged"
-        elif self.status == "converged":
-            # In exact arithmetic the last half-step can only lower the residual.
-            self.status = "precision"
+            t_rows, t_columns = problem.softmin_rows(g, epsilon, precise), reached.t_columns
+            if precise != reached.precise:
+                t_columns = problem.softmin_columns(f, epsilon, precise)
+        residual = problem.residual(f, g, t_rows, t_columns, epsilon)
+        self._records.append((numbers, np.ones(len(numbers), bool), residual))
+        rows, columns = (of.points_of(numbers) for of in self.problem.reductions)
+        self.f[rows], self.t_rows[rows] = f, t_rows
+        self.g[columns], self.t_columns[columns] = g, t_columns
+        self.residual[numbers] = residual
+        self.roundoffs[0, numbers] = problem.to_rows.roundoff
+        self.roundoffs[1, numbers] = problem.to_columns.roundoff
+        within = self.residual[numbers] <= self.tol
+        missed = ~within & (self.status[numbers] == "converged")
+        self.status[numbers[within]] = "converged"
+        # In exact arithmetic the last half-step can only lower the residual.
+        self.status[numbers[missed]] = "precision"
 
-    def _measured_rounding(self, g: Array, epsilon: float) -> float:
+    def _measured_rounding(self, begun: Reached, epsilon: float) -> Array:
         """Return by how much T(g) changes with precise exponents, in units of epsilon."""
-        coarse = self.problem.softmin_rows(g, epsilon, precise=False)
-        fine = self.problem.softmin_rows(g, epsilon, precise=True)
-        self.n_measured += 2
-        return float(np.abs(coarse - fine)[self.problem.a > 0].max() / epsilon)
+        problem = some(self.problem, begun.numbers)
+        coarse, fine = (problem.softmin_rows(begun.g, epsilon, each) for each in (False, True))
+        change = np.where(problem.a > 0, np.abs(coarse - fine), 0.0)
+        return np.atleast_1d(problem.of_rows.largest(change)) / epsilon
 
     def _iterate(
         self,
+        numbers: IntArray,
         g: Array,
         epsilon: float,
-        tol: float,
+        tol: Any,
         limit: int,
         precise: bool,
-        steps: Steps | None = None,
         leave: bool = False,
+        steps: Steps | None = None,
     ) -> Reached:
-        """Iterate at one epsilon until the residual is `tol` or `limit` iterations are over.
+        """Iterate at one epsilon until residuals are `tol` or `limit` iterations are over.
 
-        The iteration also ends where the residual no longer falls and rounding explains that. With
+        A problem also ends where its residual no longer falls and rounding explains that. With
         `leave`, which means that better exponents can take over, it ends there for any reason:
         the residual of a slow problem falls by less in an iteration than float32 resolves.
         """
-        problem = self.problem
-        self.rounding = rounding = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
-        steps = steps or new_steps(problem)
+        problem = some(self.problem, numbers)
+        of: Any = problem.of_rows
+        count = len(numbers)
+        steps = steps or self._new_steps(problem)
         steps.begin(g, epsilon, precise)
-        extrapolated = False
-        floor = -np.inf  # the dual that the plain iteration had reached
-        noise = 0.0
-        first, best, since_best = 0.0, np.inf, 0
+        self.status[numbers] = "max_iter"
+        self.rounding[numbers] = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
+        reached = Reached(
+            problem.reductions, numbers, np.zeros(len(problem.a)), np.zeros(len(problem.b)),
+            np.zeros(len(problem.b)), np.zeros(count), precise, steps,
+        )  # fmt: skip
+        tol, rounding, n_softmin = (
+            values if of.shape else values.tolist()[0]
+            for values in (np.full(count, tol), self.rounding[numbers], self.n_softmin[numbers])
+        )
+        floor, noise, best = of.filled(-np.inf), of.filled(0.0), of.filled(np.inf)
+        since_best, running, guessed = of.filled(0), of.filled(True), of.filled(False)
+        places, current = np.arange(count), numbers
+        first, least_tol = 0.0, float(np.min(tol))
         while True:
             steps.update_rows()
+            n_softmin = n_softmin + running
             mass, dual = steps.row_dual
-            if not extrapolated:
-                # A half-step does not lower the dual: rounding does, or pairs left out.
-                noise = max(noise, NOISE_MARGIN * (floor - dual))
-            else:
+            # A half-step does not lower the dual: rounding does, or pairs left out.
+            noise = of.larger(noise, of.choose(guessed, 0.0, NOISE_MARGIN * (floor - dual)))
+            live = running
+            if of.any(guessed):
                 slack = noise + slack_of(problem, floor, rounding, mass, epsilon)
-                if not dual >= floor - slack:
-                    steps.take_back()
-                    extrapolated = False
-                    continue
-                steps.accept()
+                bad = of.without(guessed, dual >= floor - slack)
+                steps.accept(of.without(guessed, bad))
+                if of.any(bad):
+                    steps.take_back(bad)
+                    n_softmin, live = n_softmin + bad * steps.ahead, of.without(running, bad)
+                    if not of.any(live):
+                        guessed = of.without(guessed, bad)
+                        continue
             residual = steps.update_columns()
-            self.residuals.append(residual)
-            first = first or residual
-            since_best = 0 if residual < 0.9 * best else since_best + 1
-            best = min(best, residual)
-            self._report_share(self._done + self._level_share * share_done(first, best, tol))
-            stalled = since_best >= self._patience and (leave or residual <= rounding)
-            ended = stalled or self.n_iter >= limit or steps.outside_trust_region()
-            if residual <= tol or ended:
-                self.status = "max_iter"
-                if residual <= tol:
-                    self.status = "converged"
-                elif stalled:
-                    self.status = "precision"
-                return steps.reached(residual)
+            n_softmin = n_softmin + live * (self._softmins - 1)
+            self._records.append((current, live, residual))
+            since_best = of.choose(live, (since_best + 1) * (residual >= 0.9 * best), since_best)
+            best = of.choose(live, of.smaller(best, residual), best)
+            first = first or float(np.max(residual))
+            worst = float(best.max()) if of.shape else best
+            share = share_done(first, worst, least_tol)
+            self._report_share(self._done + self._level_share * share)
+            stalled = live & (since_best >= self._patience) & (leave | (residual <= rounding))
+            within, n_iter = live & (residual <= tol), -(-n_softmin // self._softmins)
+            ended = within | stalled | (live & (n_iter >= limit)) | steps.outside_trust_region()
+            if of.any(ended):
+                here = np.flatnonzero(ended)
+                for into, values, whole, own in zip(
+                    (reached.f, reached.g, reached.t_columns), steps.potentials(),
+                    (*reached.of, reached.of[1]), (*problem.reductions, problem.of_columns),
+                    strict=True,
+                ):  # fmt: skip
+                    into[whole.points_of(places[here])] = values[own.points_of(here)]
+                reached.residual[places[here]] = np.atleast_1d(residual)[here]
+                self.n_softmin[current[here]] = np.atleast_1d(n_softmin)[here]
+                for status, which in (("precision", stalled), ("converged", within)):
+                    self.status[current[np.flatnonzero(which)]] = status
+                running = of.without(running, ended)
+                if not of.any(running):
+                    return reached
             problem.settle(residual)
-            floor = steps.column_dual
+            # The dual that the plain iteration has reached.
+            floor = of.choose(live, steps.column_dual, floor)
             # An extrapolation can cost one softmin more, which the limit must allow.
-            extrapolated = steps.go_on(self.n_iter + 1 < limit and self._max_iter >= SHORT)
+            may = running & live & (n_iter + 1 < limit) & (self._max_iter >= SHORT)
+            guessed = steps.go_on(may)
+            if of.any(ended) and np.count_nonzero(running) <= (1 - STOPPED) * len(current):
+                kept, reached.steps = np.flatnonzero(running), None
+                problem, places, current = steps.keep(kept), places[kept], current[kept]
+                of = problem.of_rows
+                tol, rounding, floor, noise, best, since_best, running, guessed, n_softmin = (
+                    values[kept]
+                    for values in (
+                        tol, rounding, floor, noise, best, since_best, running, guessed, n_softmin,
+                    )
+                )  # fmt: skip
 
 
 def may_sum_exactly(problem: Problem, status: Any, precision: str, tol: float, error: Any) -> Any:
@@ -294,7 +434,7 @@ def may_sum_exactly(problem: Problem, status: Any, precision: str, tol: float, e
     return possible & (status == "precision") & (error < EXACT_SHARE * tol)
 
 
-def annealing(problem: Problem, blur: float, largest_cost: float, max_iter: int) -> list[float]:
+def annealing(problem: Problem, blur: float, top: float, max_iter: int) -> list[float]:
     """Return the blurs of the annealing, falling, without the last one.
 
     Parameters
@@ -302,14 +442,13 @@ def annealing(problem: Problem, blur: float, largest_cost: float, max_iter: int)
     problem : Problem
     blur : float
         The last blur.
-    largest_cost : float
-        Upper bound of the cost.
+    top : float
+        The blur below which it begins.
     max_iter : int
     """
     slowest = np.prod(problem.damping(blur**2))
     if slowest <= EASY or max_iter < SHORT:
         return []
-    top = top_blur(largest_cost)
     level = blur / ANNEALING
     levels: list[float] = []
     while level < top and len(levels) < max_iter // 8:

@@ -143,14 +143,14 @@ class Multiscale:
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report, self._reported = blur, max_iter, report, 0.0
         self._floor = CYCLE_FLOOR  # of the clusters
-        self._measured = 0  # softmins of iterations over the points that only measured
+        self._n_softmin = 0  # of iterations over the points
         #: The choices of pairs to store that are not known to have too many.
         self._choices = list(STORED_CHOICES)
 
     @property
     def n_iter(self) -> int:
         """Iterations over the points so far."""
-        return -(-(self.problem.n_softmin - self._measured) // 2)
+        return -(-self._n_softmin // 2)
 
     def run(self, start: Array | None) -> None:
         """Solve from potentials g, or from the largest blur of the annealing."""
@@ -241,16 +241,15 @@ class Multiscale:
 
     def _solve_grid(self, grid: CoarseGrid, g: Array, tol: float) -> State:
         """Solve a coarse problem from potentials g to a residual."""
-        done = -(-grid.problem.n_softmin // 2)
         # Exponents of stored pairs are small, so float32 is enough for them.
         stored = isinstance(grid.problem, StoredProblem)
         precise = not stored and needs_more(grid.problem, self.precision, self._blur**2, tol)
         iteration = Iteration(
-            grid.problem, self._blur, tol, done + self._max_iter,
+            grid.problem, self._blur, tol, self._max_iter,
             "auto" if precise else "float32", ignore, certify=False,
         )  # fmt: skip
         iteration.run(g)
-        return iteration.state
+        return iteration.alone().state
 
     def _iterate_to(self, tol: float, g: Array) -> Array:
         """Return potentials g after iterations over the points alone to a residual."""
@@ -259,11 +258,13 @@ class Multiscale:
         iteration = Iteration(
             self.problem, self._blur, tol, self._max_iter - SPARE_ITERATIONS, self.precision,
             lambda share: self._report_share(reported + (end - reported) * share), certify=False,
+            n_softmin=self._n_softmin,
         )  # fmt: skip
         iteration.run(g)
-        self._measured += iteration.n_measured
-        self.residuals += iteration.residuals[:-1]  # the last one is measured again
-        return iteration.state.g
+        found = iteration.alone()
+        self._n_softmin = found.n_softmin
+        self.residuals += found.residuals[:-1]  # the last one is measured again
+        return found.state.g
 
     def _iterate_points(self, g: Array) -> None:
         """Continue with iterations over the points alone."""
@@ -272,12 +273,14 @@ class Multiscale:
         iteration = Iteration(
             self.problem, self._blur, self.tol, self._max_iter, self.precision,
             lambda share: self._report_share(reported + (1 - reported) * share),
+            n_softmin=self._n_softmin,
         )  # fmt: skip
         iteration.run(g)
-        self._measured += iteration.n_measured
-        self.state, self.status, self.precise = iteration.state, iteration.status, iteration.precise
-        self.rounding = iteration.rounding
-        self.residuals += iteration.residuals
+        found = iteration.alone()
+        self._n_softmin = found.n_softmin
+        self.state, self.status, self.precise = found.state, found.status, found.precise
+        self.rounding = found.rounding
+        self.residuals += found.residuals
 
     def _cycle(self, grid: CoarseGrid | None, g: Array) -> None:
         """Alternate one iteration over the points with a solve of the coarse problem."""
@@ -295,6 +298,7 @@ class Multiscale:
             t_rows = problem.softmin_rows(g, epsilon, precise, last)
             f, g, t_rows, _ = problem.update_f(g, t_rows, epsilon)
             t_columns = problem.softmin_columns(f, epsilon, precise, last)
+            self._n_softmin += 2
             residual = problem.residual(f, g, t_rows, t_columns, epsilon)
             self.state = State(f, g, t_rows, t_columns, residual)
             self.residuals.append(residual)

@@ -80,7 +80,6 @@ class Problem:
         source, target = (0.0 if np.isinf(value) else 1.0 / value for value in rho)
         self.inverse_rho = source, target
         self.masses = self.of_rows.sum(self.a), self.of_columns.sum(self.b)
-        self.n_softmin = 0
         self._resident: ResidentIteration | None = None
         self._asked = False
 
@@ -159,9 +158,9 @@ class Problem:
         """Nats by which a log-sum-exp may be too small; None if all pairs are summed."""
         return self.to_rows.truncation
 
-    def outside_trust_region(self, f: Array, epsilon: float) -> bool:
+    def outside_trust_region(self, f: Array, epsilon: float) -> Any:
         """Return whether potentials f, (N,), are outside the region where this problem is valid."""
-        return bool(self.farthest(f) > self.trust_radius * epsilon)
+        return self.farthest(f) > self.trust_radius * epsilon
 
     def farthest(self, f: Any) -> Any:
         """Return how far potentials have moved in this region, cost units; 0 without a region."""
@@ -177,14 +176,12 @@ class Problem:
 
     def softmin_rows(self, g: Array, epsilon: float, precise: bool, bounded: bool = False) -> Array:
         """Return T(g), (N,) array; flags as in `Softmin` (paper, 3.1; math: softmin)."""
-        self.n_softmin += 1
         return self.to_rows(g, epsilon, precise, bounded or self.exact_sums)
 
     def softmin_columns(
         self, f: Array, epsilon: float, precise: bool, bounded: bool = False
     ) -> Array:
         """Return T(f), (M,) array; flags as in `Softmin` (paper, 3.1; math: softmin)."""
-        self.n_softmin += 1
         return self.to_columns(f, epsilon, precise, bounded or self.exact_sums)
 
     @property
@@ -205,14 +202,10 @@ class Problem:
     def rounding(self, epsilon: float, precise: bool) -> Any:
         """Return the largest effect of rounding on a softmin, in nats."""
         kind = epsilon, precise, self.exact_sums
-        return self._larger(
+        return self.of_rows.larger(
             self.to_rows.rounding(len(self.b), self.largest_cost, *kind),
             self.to_columns.rounding(len(self.a), self.largest_cost, *kind),
         )
-
-    def _larger(self, one: Any, other: Any) -> Any:
-        """Return the larger one of two numbers of each problem."""
-        return np.maximum(one, other) if self.of_rows.shape else max(one, other)
 
     def update_f(self, g: Array, t_rows: Array, epsilon: float) -> HalfStep:
         """Maximize the dual over all (f, g + s), given T(g), where f is the half-step of g + s.
@@ -264,8 +257,8 @@ class Problem:
         return HalfStep(damping * softmin, old + other.spread(s), softmin, log_mass)
 
     def start_iteration(self) -> ResidentIteration | None:
-        """Return an iteration on the device, if all pairs are summed and the backend has it."""
-        if self.exact_sums:
+        """Return the device's iteration of one problem over all pairs, if the backend has it."""
+        if self.exact_sums or self.of_rows.shape:
             return None
         if self.truncation is None and not self._asked:
             self._resident = self.operations.start_iteration(
@@ -277,9 +270,11 @@ class Problem:
     def bounded_softmins(self, f: Array, g: Array, epsilon: float) -> tuple[Array, Array]:
         """Return T(g) and T(f); `left_out` and `roundoff` of both softmins bound their errors."""
         t_rows = self.to_rows(g, epsilon, bounded=True)
+        if self.to_columns is self.to_rows and f is g:
+            return t_rows, t_rows
         return t_rows, self.to_columns(f, epsilon, bounded=True)
 
-    def settle(self, residual: float) -> None:
+    def settle(self, residual: Any) -> None:
         """Let the softmins know the residual that was reached; see `Softmin.settle`."""
         self.to_rows.settle(residual)
         self.to_columns.settle(residual)
@@ -301,7 +296,7 @@ class Problem:
                 size = largest_size(of, potential, massive) + largest_size(of, softmin, massive)
                 residual = residual + side.roundoff + STEPS_ERROR * size / epsilon
             residuals.append(residual)
-        return self._larger(*residuals)
+        return self.of_rows.larger(*residuals)
 
     def row_mass(self, f: Array, t_rows: Array, epsilon: float) -> Array:
         """Return the first marginal of the plan of (f, g), given T(g) (math: plan, Eq. 2)."""
@@ -311,7 +306,7 @@ class Problem:
         """Return the second marginal of the plan of (f, g), given T(f) (math: plan, Eq. 2)."""
         return marginal(self.b, self.log_b, g, t_columns, epsilon)
 
-    def dual(self, f: Array, g: Array, plan_mass: Any, epsilon: float, enough: float = 0.0) -> Any:
+    def dual(self, f: Array, g: Array, plan_mass: Any, epsilon: float, enough: Any = 0.0) -> Any:
         """Return D(f, g) without its constant epsilon m_a m_b, given the mass of its plan.
 
         (paper, 2.1; math: dual) Where masses are large, adding the constant would lose digits.
@@ -324,7 +319,8 @@ class Problem:
         enough : float
             The rounding that each penalty may have, in units of epsilon times the plan's mass. If
             it is not 0, f and g must be those of a `HalfStep`: then <a, exp(-f / rho)> is the mass
-            of the plan, and no exponential is needed where rho is small enough for that rounding.
+            of the plan, and no exponential is needed where rho is small enough for that rounding,
+            in all problems.
         """
         value = -epsilon * plan_mass
         for of, potential, weights, inverse, mass in (
@@ -333,7 +329,9 @@ class Problem:
         ):
             if not inverse:
                 value = value + of.inner(weights, potential)
-            elif enough and has_closed_form(mass, plan_mass, inverse, epsilon, enough):
+            elif np.any(enough) and np.all(
+                has_closed_form(mass, plan_mass, inverse, epsilon, enough)
+            ):
                 value = value + (mass - plan_mass) / inverse
             else:
                 # rho (1 - exp(-f / rho)), without the cancellation at large rho
@@ -372,7 +370,7 @@ def cost_across(low: Array, high: Array) -> Any:
 
 
 def has_closed_form(
-    mass: Any, plan_mass: Any, inverse_rho: float, epsilon: float, enough: float
+    mass: Any, plan_mass: Any, inverse_rho: float, epsilon: float, enough: Any
 ) -> Any:
     """Return whether a penalty of the dual has enough digits as a difference of masses.
 

@@ -1,6 +1,7 @@
 """Shared parts of the solvers `Iteration` and `Multiscale`: state, precision, progress."""
 
 import math
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from clmorph._shared.typing import Array
@@ -23,6 +24,22 @@ class State(NamedTuple):
     t_rows: Array
     t_columns: Array
     residual: float
+
+
+@dataclass
+class Outcome:
+    """The end of the solve of one problem, with the numbers of `Iteration`."""
+
+    problem: Problem
+    state: State
+    status: str
+    residuals: list[float]
+    n_softmin: int
+    n_iter: int
+    rounding: float
+    tol: float
+    precision: str
+    precise: bool
 
 
 def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
@@ -59,7 +76,7 @@ def slack_of(problem: Problem, floor: Any, rounding: Any, mass: Any, epsilon: fl
     return slack + problem.left_out * epsilon * mass
 
 
-def dual_rounding(problem: Problem, epsilon: float, precise: bool) -> float:
+def dual_rounding(problem: Problem, epsilon: float, precise: bool) -> Any:
     """Return the rounding that each penalty of the dual may have; see `Problem.dual`.
 
     The dual's own rounding is then a small part of `slack_of`.
@@ -71,8 +88,7 @@ def dual_rounding(problem: Problem, epsilon: float, precise: bool) -> float:
         Cost units.
     precise : bool
     """
-    rounding: float = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
-    return DUAL_SHARE * SLACK * rounding
+    return DUAL_SHARE * SLACK * ROUNDING_MARGIN * problem.rounding(epsilon, precise)
 
 
 def share_done(first: float, residual: float, tol: float) -> float:

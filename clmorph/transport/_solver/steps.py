@@ -5,11 +5,14 @@
 meet once: where the host then takes back an extrapolation, one softmin was in vain.
 """
 
-from typing import NamedTuple
+from typing import Any, Protocol
 
-from clmorph._shared.typing import Array
+import numpy as np
+
+from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import MEMORY, ResidentIteration
-from clmorph.transport._solver.anderson import GROWTH, SHRINKAGE, TRUST_RADIUS, Anderson
+from clmorph.transport._solver.anderson import GROWTH, Anderson, TrustRegion
+from clmorph.transport._solver.batch import some
 from clmorph.transport._solver.half_steps import (
     ColumnStep,
     RowStep,
@@ -22,91 +25,133 @@ from clmorph.transport._solver.softmin import overflow
 from clmorph.transport._solver.state import dual_rounding
 
 
-class Reached(NamedTuple):
-    """Potentials after the last half-step of a level; their residual is not measured yet."""
+class Steps(Protocol):
+    """The steps of one problem, or of many, whose numbers then are arrays of shape (k,).
 
-    f: Array
-    g: Array
-    t_columns: Array
-    residual: float  # before that half-step
-    precise: bool
+    Attributes
+    ----------
+    ahead : int
+        Softmins of an iteration that are in vain if its extrapolation is taken back.
+    """
+
+    ahead: int
+
+    def begin(self, g: Array, epsilon: float, precise: bool) -> None:
+        """Set the potential g, (M,), at which the next iteration begins."""
+
+    def update_rows(self) -> None:
+        """Update f and the shift of g."""
+
+    @property
+    def row_dual(self) -> tuple[Any, Any]:
+        """The mass of the plan, and the dual, after `update_rows`."""
+
+    def take_back(self, which: Any = True) -> None:
+        """Drop the extrapolations of some problems, which go on at the images before."""
+
+    def accept(self, which: Any = True) -> None:
+        """Keep the extrapolations of some problems, whose duals are good."""
+
+    def update_columns(self) -> Any:
+        """Update g and the shift of f, and return the residual before."""
+
+    def outside_trust_region(self) -> Any:
+        """Return whether f is outside the region where the problem is valid."""
+
+    @property
+    def column_dual(self) -> Any:
+        """The dual after `update_columns`."""
+
+    def go_on(self, extrapolate: Any) -> Any:
+        """Choose the next potentials, and return for which problems they are extrapolations."""
+
+    def potentials(self) -> tuple[Array, Array, Array]:
+        """Return f, the image of g, and T(f) after `update_columns`."""
+
+    def keep(self, problems: IntArray) -> Problem:
+        """Go on with some of many problems, and return them."""
 
 
 class HostSteps:
-    """Steps whose arithmetic NumPy does.
+    """Steps whose arithmetic NumPy does; see `Steps`.
 
     Parameters
     ----------
     problem : Problem
     """
 
+    ahead = 0
+
     def __init__(self, problem: Problem) -> None:
-        self._problem, self._memory = problem, Anderson()
+        self._problem, self._memory = problem, Anderson(problem.of_columns)
 
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
-        """Set the potential g, (M,), at which the next iteration begins."""
         self._g, self._epsilon, self._precise = g, epsilon, precise
         self._fallback = g
         self._enough = dual_rounding(self._problem, epsilon, precise)
 
     def update_rows(self) -> None:
-        """Update f and the shift of g."""
-        problem = self._problem
+        problem, self._back = self._problem, np.False_
         softmin = problem.softmin_rows(self._g, self._epsilon, self._precise)
         self._rows: RowStep = row_step(problem, self._g, softmin, self._epsilon, self._enough)
 
     @property
-    def row_dual(self) -> tuple[float, float]:
-        """The mass of the plan, and the dual, after `update_rows`."""
+    def row_dual(self) -> tuple[Any, Any]:
         return self._rows.mass, self._rows.dual
 
-    def take_back(self) -> None:
-        """Drop the extrapolation, and begin the next iteration at the image before."""
-        self._g = self._fallback
-        self._memory.rejected()
+    def take_back(self, which: Any = np.True_) -> None:
+        self._g, self._back = self._chosen(which, self._fallback, self._g), which
+        self._memory.rejected(which)
 
-    def accept(self) -> None:
-        """Keep the extrapolation, whose dual is good."""
-        self._memory.accepted()
+    def accept(self, which: Any = np.True_) -> None:
+        self._memory.accepted(which)
 
-    def update_columns(self) -> float:
-        """Update g and the shift of f, and return the residual before."""
+    def update_columns(self) -> Any:
         problem = self._problem
         softmin = problem.softmin_columns(self._rows.f, self._epsilon, self._precise)
         self._columns: ColumnStep = column_step(
             problem, self._rows, softmin, self._epsilon, self._enough
         )
-        return float(self._columns.residual)
+        return self._columns.residual
 
-    def outside_trust_region(self) -> bool:
-        """Return whether f is outside the region where the problem is valid."""
+    def outside_trust_region(self) -> Any:
         return self._problem.outside_trust_region(self._columns.f, self._epsilon)
 
     @property
-    def column_dual(self) -> float:
-        """The dual after `update_columns`."""
-        return float(self._columns.dual)
+    def column_dual(self) -> Any:
+        return self._columns.dual
 
-    def go_on(self, extrapolate: bool) -> bool:
-        """Choose the next potential, and return whether it is an extrapolation."""
-        image, extrapolated = self._columns.image, False
+    def go_on(self, extrapolate: Any) -> Any:
+        image, extrapolated = self._columns.image, np.logical_and(extrapolate, False)
         following = image
-        if extrapolate:
+        if np.any(extrapolate):
             mass = self._columns.mass
-            following, extrapolated = self._memory.extrapolate(self._g, image, mass)
-            if extrapolated:
+            following, extrapolated = self._memory.extrapolate(self._g, image, mass, extrapolate)
+            if extrapolated.any():
                 following = without_drift(self._problem, following, image, mass)
-        self._g, self._fallback = following, image
-        return bool(extrapolated)
+        self._g, self._fallback = self._chosen(self._back, self._g, following), image
+        return extrapolated if self._problem.of_rows.shape else bool(extrapolated)
 
-    def reached(self, residual: float) -> Reached:
-        """Return the potentials after `update_columns`."""
-        columns = self._columns
-        return Reached(columns.f, columns.image, columns.t_columns, residual, self._precise)
+    def potentials(self) -> tuple[Array, Array, Array]:
+        return self._columns.f, self._columns.image, self._columns.t_columns
+
+    def keep(self, problems: IntArray) -> Problem:
+        of, self._problem = self._problem.of_columns, some(self._problem, problems)
+        points = of.points_of(problems)
+        self._memory.take(problems, points, self._problem.of_columns)
+        self._g, self._fallback = self._g[points], self._fallback[points]
+        self._enough = self._enough[problems]
+        return self._problem
+
+    def _chosen(self, which: Any, one: Array, other: Array) -> Array:
+        """Return potentials g of one kind for some problems, and of the other for the others."""
+        return (
+            np.where(self._problem.of_columns.spread(which), one, other) if np.any(which) else other
+        )
 
 
 class DeviceSteps:
-    """Steps whose arithmetic the device does; the host reads a few numbers.
+    """Steps of one problem whose arithmetic the device does; the host reads a few numbers.
 
     Parameters
     ----------
@@ -114,76 +159,67 @@ class DeviceSteps:
     iteration : ResidentIteration
     """
 
+    ahead = 1
+
     def __init__(self, problem: Problem, iteration: ResidentIteration) -> None:
         self._problem, self._iteration = problem, iteration
         # The state of `Anderson`, whose vectors are on the device.
-        self._radius, self._was_cut = TRUST_RADIUS, False
+        self._region = TrustRegion()
         self._begun, self._next = False, 0
 
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
-        """Set the potential g, (M,), at which the next iteration begins."""
         self._epsilon, self._precise, self._guessed = epsilon, precise, False
         self._iteration.set_potential(g, epsilon, precise)
 
     def update_rows(self) -> None:
         """Run an iteration, as if its potential were good."""
-        radius = self._radius
-        if self._guessed and self._was_cut:
+        radius = float(self._region.radius)
+        if self._guessed and self._region.was_cut:
             radius *= GROWTH
         count = min(self._next + 1, MEMORY) if self._begun else 0
         place = self._next % MEMORY if self._begun else 0
         self._numbers = self._iteration.iterate(self._begun, place, count, radius)
         if not self._numbers.finite:
             raise overflow("points")
-        self._problem.n_softmin += 1
 
     @property
     def row_dual(self) -> tuple[float, float]:
-        """The mass of the plan, and the dual, after `update_rows`."""
         return self._numbers.mass, self._numbers.row_dual
 
-    def take_back(self) -> None:
-        """Drop the extrapolation, and begin the next iteration at the image before."""
+    def take_back(self, which: Any = np.True_) -> None:
         self._iteration.go_back()
-        self._problem.n_softmin += 1
-        self._radius = max(1.0, SHRINKAGE * self._radius)
-        self._begun, self._next, self._guessed, self._was_cut = False, 0, False, False
+        self._region.rejected(which)
+        self._begun, self._next, self._guessed = False, 0, False
 
-    def accept(self) -> None:
-        """Keep the extrapolation, whose dual is good."""
-        if self._was_cut:
-            self._radius *= GROWTH
+    def accept(self, which: Any = np.True_) -> None:
+        if self._region.was_cut:
+            self._region.accepted(which)
 
     def update_columns(self) -> float:
-        """Return the residual before g was updated."""
-        self._problem.n_softmin += 1
+        """Return the residual before g was updated, which `update_rows` has computed."""
         return self._numbers.residual
 
     def outside_trust_region(self) -> bool:
-        """Return whether f is outside the region where the problem is valid."""
         return self._numbers.moved > self._problem.trust_radius * self._epsilon
 
     @property
     def column_dual(self) -> float:
-        """The dual after g was updated."""
         return self._numbers.column_dual
 
-    def go_on(self, extrapolate: bool) -> bool:
-        """Choose the next potential, and return whether it is an extrapolation."""
-        self._guessed = extrapolate and self._numbers.extrapolated
+    def go_on(self, extrapolate: Any) -> Any:
+        self._guessed = bool(extrapolate and self._numbers.extrapolated)
         self._iteration.go_on(self._guessed)
         if extrapolate:
             self._next += self._begun
             self._begun = True
-            self._was_cut = self._numbers.cut
+            self._region.was_cut = self._numbers.cut
         return self._guessed
 
-    def reached(self, residual: float) -> Reached:
-        """Return the potentials after the last iteration."""
-        return Reached(*self._iteration.potentials(), residual, self._precise)
+    def potentials(self) -> tuple[Array, Array, Array]:
+        return self._iteration.potentials()
 
-
-Steps = HostSteps | DeviceSteps
+    def keep(self, problems: IntArray) -> Problem:
+        raise NotImplementedError("these are the steps of one problem")
 
 
 def new_steps(problem: Problem) -> Steps:
