@@ -109,7 +109,7 @@ class OpenCLOperations:
         self.softmin = take_turns(log_sum_exp.softmin)
         self.bounded_softmin = take_turns(log_sum_exp.bounded_softmin)
         self.row_maxima = take_turns(log_sum_exp.row_maxima)
-        self.start_iteration = take_turns(HalfSteps(loop, log_sum_exp, take_turns).start_iteration)
+        self.start_iteration = take_turns(HalfSteps(loop, take_turns).start_iteration)
         self.upload_batch = take_turns(batches.upload_batch)
         self.take_batch = take_turns(batches.take_batch)
         self.softmin_batch = take_turns(batches.softmin_batch)
