@@ -37,7 +37,7 @@ _RATES = ("epsilon", "inverse_rho_source", "inverse_rho_target", "radius")
 _SIDES, _LOGITS = ("rows", "columns"), ("logits", "levels")
 ARGUMENTS = {
     "prepare_rows": (
-        "n", "m", "planes", "control", "k", "start", "columns", "row_costs", "tile_max",
+        "n", "m", "planes", "first_control", "k", "start", "columns", "row_costs", "tile_max",
         "row_level", *_LOGITS,
     ),
     "row_step": (
@@ -173,8 +173,9 @@ class HalfSteps(ResidentSteps):
                 own = programs.kernels(Variant("log_sum_exp.cl", dimension, precise))
                 kernels[side] = own["log_sum_exp"]
             self._bound[key] = BoundKernels(kernels, ARGUMENTS)
-        bound, k = self._bound[key], split(np.asarray(LOG2_E / iteration.epsilon))
-        bound.set("k_high", k[0])
-        bound.set("k_low", k[1])
-        bound.set("planes", np.uint32(1 + precise))
-        return bound
+        return self._bound[key]
+
+    def _scalars(self, iteration: DeviceIteration) -> dict[str, Any]:
+        high, low = split(np.asarray(LOG2_E / iteration.epsilon))
+        planes = np.uint32(1 + iteration.precise)
+        return super()._scalars(iteration) | {"k_high": high, "k_low": low, "planes": planes}

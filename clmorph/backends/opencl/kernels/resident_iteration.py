@@ -119,16 +119,30 @@ class BoundKernels:
             for number, name in enumerate(names):
                 self._places.setdefault(name, []).append((kernels[kernel], number))
         self._iteration: weakref.ref[DeviceIteration] | None = None
+        self._epsilon = 0.0
         self._scalars: dict[str, bytes] = {}
 
-    def bind(self, iteration: DeviceIteration) -> None:
-        """Set the arguments of an iteration, if they are those of another one."""
-        if self._iteration is not None and self._iteration() is iteration:
-            return
-        self._iteration = None
-        for name in self._places.keys() & iteration.arguments.keys():
-            self.set(name, iteration.arguments[name])
-        self._iteration = weakref.ref(iteration)
+    def bind(
+        self, iteration: DeviceIteration, scalars: Callable[[DeviceIteration], dict[str, Any]]
+    ) -> None:
+        """Set what stays the same in an iteration, if it is that of another one.
+
+        Parameters
+        ----------
+        iteration : DeviceIteration
+        scalars : callable
+            A function that returns arguments which follow from epsilon.
+        """
+        if self._iteration is None or self._iteration() is not iteration:
+            self._iteration, self._epsilon = None, 0.0
+            for name in self._places.keys() & iteration.arguments.keys():
+                self.set(name, iteration.arguments[name])
+            self._iteration = weakref.ref(iteration)
+        if self._epsilon != iteration.epsilon:
+            self._epsilon = 0.0
+            for name, value in scalars(iteration).items():
+                self.set(name, value)
+            self._epsilon = iteration.epsilon
 
     def set(self, name: str, value: Any) -> None:
         """Set an argument of all kernels that take it; a scalar only where it has changed.
@@ -181,6 +195,11 @@ class ResidentSteps:
         """Return values of a side in the caller's order."""
         raise NotImplementedError
 
+    def _scalars(self, iteration: DeviceIteration) -> dict[str, Any]:
+        """Return the arguments that follow from epsilon."""
+        epsilon = iteration.epsilon
+        return {"k": np.float64(LOG2_E / epsilon), "epsilon": np.float64(epsilon)}
+
     def _measured(self, iteration: DeviceIteration) -> contextlib.AbstractContextManager[None]:
         """Return a context in which the launches of an iteration are timed."""
         return contextlib.nullcontext()
@@ -201,12 +220,13 @@ class ResidentSteps:
         """Enqueue one iteration, wait for it, and return its numbers."""
         check_cancelled()
         queue, bound = self._work.queue, self._kernels(iteration)
-        bound.bind(iteration)
-        bound.set("k", np.float64(LOG2_E / iteration.epsilon))
-        bound.set("epsilon", np.float64(iteration.epsilon))
-        bound.set("control", iteration.control(begun, place, count))
-        bound.set("radius", np.float64(radius))
+        bound.bind(iteration, self._scalars)
+        control = iteration.control(begun, place, count)
         prepare, iteration.prepared = iteration.prepared != iteration.at, -1
+        if prepare:
+            bound.set("first_control", control)
+        bound.set("control", control)
+        bound.set("radius", np.float64(radius))
         events: list[cl.Event] = []
         with self._measured(iteration):
             try:

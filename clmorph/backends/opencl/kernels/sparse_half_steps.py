@@ -46,7 +46,7 @@ _MASSES, _GIVEN = ("source_mass", "target_mass"), ("given_rows", "given_columns"
 _VECTORS, _FOUND = ("rows", "columns"), ("partials", "numbers")
 ARGUMENTS = {
     PREPARATION: (
-        "m", "control", "k", "start", "given_columns", "columns", "column_changes", "numbers",
+        "m", "first_control", "k", "start", "given_columns", "columns", "column_changes", "numbers",
     ),
     "row_softmins": (
         *_SIZES, "control", "k", *_RATES, "maxima", "sums", *_GIVEN, *_VECTORS, *_FOUND,
