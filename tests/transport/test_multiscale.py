@@ -496,7 +496,9 @@ def test_cycles_that_end_at_the_edge_of_the_trust_region_are_no_failures(monkeyp
     iterate = multiscale.Multiscale._iterate_points
     monkeypatch.setattr(
         multiscale.Multiscale, "_iterate_points",
-        lambda self, g: left.append(True) or iterate(self, g),
+        lambda self, *given, last: (
+            (left.append(True) if last else None) or iterate(self, *given, last=last)
+        ),
     )  # fmt: skip
     source, target = sharp(24)
     got = sinkhorn(source, target, 0.05, 0.3, backend="numpy", multiscale=True)

@@ -44,6 +44,7 @@ from clmorph.transport._solver.softmin import (
 )
 from clmorph.transport._solver.state import (
     ROUNDING_MARGIN,
+    Outcome,
     State,
     measured,
     needs_more,
@@ -251,36 +252,21 @@ class Multiscale:
         iteration.run(g)
         return iteration.alone().state
 
-    def _iterate_to(self, tol: float, g: Array) -> Array:
-        """Return potentials g after iterations over the points alone to a residual."""
-        reported = self._reported
-        end = max(reported, 0.3 + 0.7 * share_done(self.residuals[0], tol, self.tol))
+    def _iterate_points(self, tol: float, g: Array, last: bool) -> Outcome:
+        """Continue from potentials g with iterations over the points alone, to a residual."""
+        reported = end = self._reported
+        end = 1.0 if last else max(end, 0.3 + 0.7 * share_done(self.residuals[0], tol, self.tol))
         iteration = Iteration(
-            self.problem, self._blur, tol, self._max_iter - SPARE_ITERATIONS, self.precision,
-            lambda share: self._report_share(reported + (end - reported) * share), certify=False,
-            n_softmin=self._n_softmin,
+            self.problem, self._blur, tol, self._max_iter - (0 if last else SPARE_ITERATIONS),
+            self.precision, lambda share: self._report_share(reported + (end - reported) * share),
+            certify=last, n_softmin=self._n_softmin,
         )  # fmt: skip
         iteration.run(g)
         found = iteration.alone()
         self._n_softmin = found.n_softmin
-        self.residuals += found.residuals[:-1]  # the last one is measured again
-        return found.state.g
-
-    def _iterate_points(self, g: Array) -> None:
-        """Continue with iterations over the points alone."""
-        reported = self._reported
-        prepare(self.problem, LEAST_RESERVE if self.residuals[-1] > FAR else SETTLED_RESERVE)
-        iteration = Iteration(
-            self.problem, self._blur, self.tol, self._max_iter, self.precision,
-            lambda share: self._report_share(reported + (1 - reported) * share),
-            n_softmin=self._n_softmin,
-        )  # fmt: skip
-        iteration.run(g)
-        found = iteration.alone()
-        self._n_softmin = found.n_softmin
-        self.state, self.status, self.precise = found.state, found.status, found.precise
-        self.rounding = found.rounding
-        self.residuals += found.residuals
+        # The last one is measured again, unless this is the end.
+        self.residuals += found.residuals[: None if last else -1]
+        return found
 
     def _cycle(self, grid: CoarseGrid | None, g: Array) -> None:
         """Alternate one iteration over the points with a solve of the coarse problem."""
@@ -328,10 +314,16 @@ class Multiscale:
                 more = self.n_iter + SPARE_ITERATIONS < self._max_iter
                 if waits and more and any(each.residual < residual for each in self._choices):
                     # Once the residual is small, one of these choices may have few enough pairs.
-                    g, waits = self._iterate_to(max(STORED_FROM, self.tol), image), False
+                    tol, waits = max(STORED_FROM, self.tol), False
+                    g = self._iterate_points(tol, image, last=False).state.g
                     before = expected = np.inf
                     continue
-                self._iterate_points(image)
+                prepare(
+                    self.problem, LEAST_RESERVE if self.residuals[-1] > FAR else SETTLED_RESERVE
+                )
+                found = self._iterate_points(self.tol, image, last=True)
+                self.state, self.status, self.precise = found.state, found.status, found.precise
+                self.rounding = found.rounding
                 return
             g, reached, left = self._correct(grid, image)
             failure = AT_THE_EDGE if left else 1.0

@@ -54,10 +54,10 @@ class SymmetricSteps:
         return self._problem.masses[0], 0.0
 
     def take_back(self, which: Any = True) -> None:
-        raise NotImplementedError("nothing is extrapolated")
+        """Do nothing: there is no extrapolation."""
 
     def accept(self, which: Any = True) -> None:
-        raise NotImplementedError("nothing is extrapolated")
+        """Do nothing: there is no extrapolation."""
 
     def update_columns(self) -> Any:
         f, softmin = self._f, self._softmin

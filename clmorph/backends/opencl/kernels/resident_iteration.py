@@ -2,6 +2,7 @@
 
 import contextlib
 import weakref
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -163,7 +164,7 @@ class BoundKernels:
 Launch = tuple[str, tuple[int, ...], tuple[int, ...] | None]
 
 
-class ResidentSteps:
+class ResidentSteps(ABC):
     """Iterations on the device.
 
     Parameters
@@ -179,21 +180,21 @@ class ResidentSteps:
         self.iterate = take_turns(self._iterate)
         self.potentials = take_turns(self._potentials)
 
+    @abstractmethod
     def _kernels(self, iteration: DeviceIteration) -> BoundKernels:
         """Return the kernels of an iteration."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _launches(self, iteration: DeviceIteration, prepare: bool) -> Iterator[Launch]:
         """Return the launches of an iteration; with `prepare` the first softmin is prepared."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _begin(self, iteration: DeviceIteration, g: Float64) -> dict[str, Float64]:
         """Return what a new potential g leaves in buffers, by their names."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _in_order(self, side: Any, values: Float64) -> Float64:
         """Return values of a side in the caller's order."""
-        raise NotImplementedError
 
     def _scalars(self, iteration: DeviceIteration) -> dict[str, Any]:
         """Return the arguments that follow from epsilon."""
