@@ -50,9 +50,9 @@ ROUNDS = 40
 #: Points of the stage around a figure in which its edge may be that of the pictures.
 RIM = 2.0
 #: Points of the stage by which outlines that have met may differ.
-MET = 0.7
+MET = 1.0
 #: Half change of color at which both pictures hardly count as equal there.
-EQUAL = 0.1
+EQUAL = 0.2
 #: Width of the Gaussian that smooths an outline where both pictures count alike, twice: a share of
 #: the longer side, and at least some pixels.
 OUTLINE, NARROWEST = 0.006, 1.2
