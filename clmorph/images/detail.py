@@ -16,9 +16,9 @@ SPRITE_SIDE = 256
 #: Largest share of translucent pixels among the visible ones of such a sprite. The edges of
 #: drawings are translucent, even if they have one color.
 TRANSLUCENT_SHARE = 0.1
-#: Share of the edges whose middle pixel mixes the colors of both sides, from which an image is
-#: anti-aliased; least difference of both sides, bounds of a mixture, largest difference from one.
-MIXED_SHARE, EDGE, MIXED, OFF_MIXTURE = 0.15, 0.1, (0.1, 0.9), 0.08
+#: Number of colors up to which an outline may be a mixture by chance. Share of the edges whose
+#: middle pixel mixes the colors of both sides, from which an image is anti-aliased; least difference of both sides, bounds of a mixture, largest difference from one.
+FEW_COLORS, MIXED_SHARE, EDGE, MIXED, OFF_MIXTURE = 6, 0.15, 0.1, (0.1, 0.9), 0.08
 _DIGITS = np.array([1 << 16, 1 << 8, 1])
 #: Range of luma below which an image has no detail; it is less than a step of 8 bits.
 FAINTEST = 1e-3
@@ -58,8 +58,11 @@ def has_few_colors(image: Array) -> bool:
         if translucent > TRANSLUCENT_SHARE * np.count_nonzero(alpha):
             return False
     levels = np.rint(255 * _visible(image)).astype(np.int64)
-    if len(np.unique(levels @ _DIGITS)) > min(SPRITE_COLORS, image.shape[0] * image.shape[1] // 4):
+    n_colors = len(np.unique(levels @ _DIGITS))
+    if n_colors > min(SPRITE_COLORS, image.shape[0] * image.shape[1] // 4):
         return False
+    if n_colors <= FEW_COLORS:
+        return True
     # A step of opacity is an edge too, so that an outline before a clear ground is no mixture.
     visible = _visible(image)
     return _mixed_share(np.dstack((visible, image[..., 3:]))) < MIXED_SHARE
