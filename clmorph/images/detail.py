@@ -17,8 +17,8 @@ SPRITE_SIDE = 256
 #: drawings are translucent, even if they have one color.
 TRANSLUCENT_SHARE = 0.1
 #: Number of colors up to which an outline may be a mixture by chance. Share of the edges whose
-#: middle pixel mixes the colors of both sides, from which an image is anti-aliased; least difference
-#: of both sides, bounds of a mixture, largest difference from one.
+#: middle pixel mixes the colors of both sides, from which an image is anti-aliased; least
+#: difference of both sides, bounds of a mixture, largest difference from one.
 FEW_COLORS, MIXED_SHARE, EDGE, MIXED, OFF_MIXTURE = 6, 0.15, 0.1, (0.1, 0.9), 0.08
 _DIGITS = np.array([1 << 16, 1 << 8, 1])
 #: Range of luma below which an image has no detail; it is less than a step of 8 bits.
