@@ -33,6 +33,8 @@ SOFT = 1 / 144
 #: Weight of a cell whose mass has no partner; and the share of such mass that takes the color that
 #: the other picture has at its place.
 LONELY, RECOLORED = 1e-3, 0.7
+#: Width, as a share of the longer side, within which displacements off a border fall to none.
+NEAR_BORDER = 0.1
 #: Distance of labels in a guide: no mean crosses their borders.
 LABEL_STEP = 3.0
 
@@ -154,7 +156,28 @@ def field_of(
         SIGMA_FINE, LIKE_FINE,
     )  # fmt: skip
     values = blurred(values, (2.0 if figure else 1.0) * SOFT * max(points.shape))
-    return Field(values[..., :2], values[..., 2:5], points)
+    move = (
+        values[..., :2] if figure else _kept_at_border(values[..., :2], points, canvases[1 - end])
+    )
+    return Field(move, values[..., 2:5], points)
+
+
+def _kept_at_border(move: Array, points: Canvas, other: Canvas) -> Array:
+    """Return displacements, (h, w, 2), by which a border goes inwards to the other's at most.
+
+    Where it went farther, nothing would be there to be shown.
+    """
+    kept = move.copy()
+    for axis in (0, 1):
+        side, scale = points.shape[1 - axis], max(points.scale[axis], 1e-9)
+        extents = side / scale, other.shape[1 - axis] / max(other.scale[axis], 1e-9)
+        allowed = max(0.0, 0.5 * (extents[0] - extents[1]))
+        near = np.arange(side) / max(NEAR_BORDER * max(points.shape), 1.0)
+        for sign, distance in ((1.0, near), (-1.0, near[::-1])):
+            shape = (1, side) if axis == 0 else (side, 1)
+            rest = np.clip(1.0 - distance, 0.0, 1.0).reshape(shape)
+            kept[..., axis] -= sign * rest * np.maximum(sign * kept[..., axis] - allowed, 0.0)
+    return kept
 
 
 def _nearest(labels: NDArray[np.int64], shape: tuple[int, ...]) -> Array:

@@ -180,3 +180,14 @@ class TestOutlines:
         assert figure.softness == 1.0
         assert figure.translucent
         np.testing.assert_allclose(figure.alpha, 0.5, atol=0.01)
+
+
+def test_borders_do_not_leave_the_picture(device):
+    """Mass that goes to the middle takes no border along, beyond which nothing would be to show."""
+    first, last = photo("cat", 64), photo("portrait", 64)
+    first[:, :8] = first[:, -8:] = last[:, 28:36] = (0.9, 0.1, 0.1)
+    morph = clmorph.morph(first, last, backend=device, preset="photo", **SMALL)
+    for field in morph.layers.fields:
+        assert field.move[:, 0, 0].max() < 0.01
+        assert field.move[:, -1, 0].min() > -0.01
+    assert np.abs(morph.layers.fields[0].move[..., 0]).max() > 0.1  # the rest does move

@@ -92,10 +92,7 @@ def figures(images: Sequence[Array]) -> list[BoolArray] | None:
             continue
         missing = mesh_missing()
         if missing:
-            raise InputError(
-                "labels='auto' looks for people by the extra \"faces\", which is missing: "
-                f"{missing.replace('would find eyes and mouths too', 'finds them')}"
-            )
+            raise InputError(f"labels='auto' cannot look for people: {missing}")
         mask = person(small_copy(image, SEARCHED))
         if mask is None:
             return None

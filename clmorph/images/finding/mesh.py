@@ -42,8 +42,8 @@ def mesh_missing() -> str:
     """Return why the extra ``faces`` cannot be used and what to do; "" if it can be."""
     if find_spec("mediapipe") is None:
         if sys.version_info >= (3, 13):
-            return "with Python 3.12 or older, clmorph[faces] would find eyes and mouths too"
-        return 'pip install "clmorph[faces]" would find eyes and mouths too'
+            return "with Python 3.12 or older, clmorph[faces] finds eyes, mouths and people"
+        return 'pip install "clmorph[faces]" adds what finds eyes, mouths and people'
     try:
         import mediapipe
     except ImportError as error:
