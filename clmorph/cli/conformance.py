@@ -4,7 +4,7 @@ import platform
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,45 +13,11 @@ from clmorph.backends.comparison import SIGNS_OF_WRONG_RESULTS, Finding, words_o
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.kernel_files import KERNELS
-from clmorph.backends.verification.batches import check_softmin_batch
-from clmorph.backends.verification.clouds import CloudCase, splat_case
-from clmorph.backends.verification.iterations import check_iteration
-from clmorph.backends.verification.layers import check_layers, check_mean, check_paths
-from clmorph.backends.verification.plans import check_plan_rows, check_stored
-from clmorph.backends.verification.reductions import (
-    ENOUGH,
-    check_bounded_softmin,
-    check_draws,
-    check_near_pairs,
-    check_offsets,
-    check_plan_moments,
-    check_projection,
-    check_row_maxima,
-    check_softmin,
-)
-from clmorph.backends.verification.seeds import check_nearest_seeds
-from clmorph.backends.verification.splats import (
-    check_advect,
-    check_bins,
-    check_deposit,
-    check_own_widths,
-    check_splat,
-    thinned,
-)
 from clmorph.errors import InputError
 from clmorph.measures.lift import lift
-from clmorph.measures.measure import Measure
 from clmorph.pipeline.morph import morph
 
-#: The number of splats and the canvas of the comparisons of splatting.
-SPLATS, CANVAS = 20_000, (61, 83)
-
-
-class Check(NamedTuple):
-    """A comparison, and the kernels that it is about."""
-
-    kernels: tuple[str, ...]
-    run: Callable[[], Iterator[Finding]]
+_EVERY = tuple(kernel for kernels in KERNELS.values() for kernel in kernels)
 
 
 def _picture(side: int, phase: float) -> NDArray[np.float64]:
@@ -59,10 +25,6 @@ def _picture(side: int, phase: float) -> NDArray[np.float64]:
     y, x = np.mgrid[:side, :side] / side
     waves = [np.sin(5 * x + k * y + phase) * np.cos(3 * y - k * phase) for k in (1, 3, 6)]
     return 0.5 + 0.5 * np.stack(waves, axis=-1)
-
-
-def _cloud(measure: Measure) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return measure.points, measure.weights
 
 
 def check(operations: Operations, kernels: Sequence[str] = ()) -> Iterator[Finding]:
@@ -109,72 +71,15 @@ def _wanted(names: Sequence[str]) -> set[str]:
     return found
 
 
-_NEAR = KERNELS["near_field.cl"]
-_PLAN = KERNELS["plan_rows.cl"]
-_SORT = "count_bins", "fill_bins"
-_CELLS = KERNELS["gauss_transform.cl"]
-_EVERY = tuple(kernel for kernels in KERNELS.values() for kernel in kernels)
+def _checks(operations: Operations) -> Iterator[tuple[tuple[str, ...], Callable[[], Any]]]:
+    """Yield the kernels of every comparison, and the comparison, which computes nothing yet."""
+    # It imports pyopencl; where that is missing, the choice of the device has said so.
+    from clmorph.backends.opencl.verification import device_checks
 
-
-def _checks(operations: Operations) -> Iterator[Check]:
-    """Yield all comparisons, which compute nothing before they are run."""
-    exact = NumPyOperations()
-    pair = _cloud(lift(_picture(37, 0.2))), _cloud(lift(_picture(31, 1.7)))
-    for blur in (1.0, 0.05, 0.003):
-        case = CloudCase(operations, exact, *pair, blur**2, f", blur {blur:g}")
-        yield Check(("log_sum_exp",), partial(check_softmin, case))
-        yield Check(("log_sum_exp",), partial(check_softmin, case, True))
-        yield Check(("log_sum_exp",), partial(check_row_maxima, case))
-        yield Check(("log_sum_exp",), partial(check_bounded_softmin, case))
-        yield Check(("log_sum_exp", *_NEAR), partial(check_near_pairs, case))
-        yield Check(("log_sum_exp", *_NEAR), partial(check_bounded_softmin, case, True, ENOUGH))
-    case = CloudCase(operations, exact, *pair, 0.0025)
-    for precise in (False, True):
-        yield Check(_PLAN, partial(check_plan_rows, case, precise))
-    for listed in (False, True):
-        kernels = (*KERNELS["sliced_ellpack.cl"], *_PLAN, *_NEAR * listed)
-        yield Check(kernels, partial(check_stored, case, listed))
-    yield Check(("log_sum_exp",), partial(check_offsets, case))
-    for balanced in (0, 3):
-        kernels = (*KERNELS["half_steps.cl"], "log_sum_exp")
-        yield Check(kernels, partial(check_iteration, case, balanced))
-        kernels = (*KERNELS["sparse_half_steps.cl"], *KERNELS["sliced_ellpack.cl"], *_PLAN)
-        yield Check(kernels, partial(check_iteration, case, balanced, True))
-    for kind in ((False, False), (True, False), (True, True)):
-        yield Check(("log_sum_exp",), partial(check_softmin_batch, operations, exact, 5, *kind))
-    # Of a few rows so many draws are compared that a single column's share shows.
-    few = CloudCase(operations, exact, (pair[0][0][:4], pair[0][1][:4]), pair[1], 0.0025)
-    for precise in (False, True):
-        for listed in (False, True):
-            near = _NEAR * listed
-            yield Check(
-                ("barycentric_projection", *near),
-                partial(check_projection, case, precise, listed),
-            )
-            yield Check(("plan_moments", *near), partial(check_plan_moments, case, precise, listed))
-            yield Check(
-                ("sample_plan_rows", *near), partial(check_draws, few, precise, listed, 2000)
-            )
-    splats = splat_case(operations, exact, SPLATS, CANVAS)
-    fewer = thinned(splats, 4000)
-    yield Check(_SORT, partial(check_bins, splats))
-    for sigma, kernels in ((0.0, ("splat",)), (0.6, ("splat", *_CELLS)), (5.0, _CELLS)):
-        yield Check((*_SORT, *kernels), partial(check_splat, splats, sigma))
-    yield Check((*_SORT, "pack_weights", "splat"), partial(check_deposit, fewer))
-    yield Check(
-        (*_SORT, "choose_width_levels", "splat", *_CELLS), partial(check_own_widths, fewer, 0.7)
-    )
-    yield Check((*_SORT, "advect", "choose_width_levels", "splat"), partial(check_advect, fewer))
-    for kernels, run in (
-        (("edge_preserving_mean",), partial(check_mean, operations, exact, (37, 52))),
-        (("follow_paths",), partial(check_paths, operations, exact, (61, 83))),
-        (("place_layer", "draw_layers"), partial(check_layers, operations, exact, (150, 211))),
-    ):
-        yield Check(kernels, run)
-    yield Check(
-        ("nearest_seeds",), partial(check_nearest_seeds, operations, exact, (120, 160), 20_000)
-    )
-    yield Check(_EVERY, partial(_check_morph, operations))
+    first, second = lift(_picture(37, 0.2)), lift(_picture(31, 1.7))
+    clouds = (first.points, first.weights), (second.points, second.weights)
+    yield from device_checks(operations, clouds)
+    yield _EVERY, partial(_check_morph, operations)
 
 
 def _check_morph(operations: Operations) -> Iterator[Finding]:

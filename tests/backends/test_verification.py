@@ -26,6 +26,7 @@ from clmorph.backends.opencl.build.programs import Programs, program_key, read_r
 from clmorph.backends.opencl.build.variants import (
     KERNELS,
     Variant,
+    all_variants,
     further_variants,
     usual_variants,
 )
@@ -93,27 +94,8 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
 
 @pytest.mark.full
 @pytest.mark.parametrize(
-    "built",
-    [
-        Variant(
-            file, dimension, precise, listed, bounded, listed and file == "plan_shares.cl"
-        )
-        for dimension in (1, 3)
-        for listed in (False, True)
-        for file, precise, bounded in [
-            ("log_sum_exp.cl", False, False), ("log_sum_exp.cl", True, False),
-            ("log_sum_exp.cl", True, True), ("plan_rows.cl", True, False),
-            ("plan_rows.cl", False, False), ("plan_shares.cl", False, False),
-            ("plan_shares.cl", True, False), ("barycentric_projection.cl", False, False),
-            ("barycentric_projection.cl", True, False),
-        ]
-    ]
-    + [
-        Variant("log_sum_exp.cl", 3, precise, True, bounded, masked=True)
-        for precise, bounded in ((False, 0), (True, 0), (True, 1), (True, 2))
-    ],
-    ids=str,
-)  # fmt: skip
+    "built", [v for d in (1, 3) for v in all_variants(d) if v.dimension], ids=str
+)
 def test_faults_are_found_in_every_variant(monkeypatch, built):
     for fault in FAULTS:
         if fault.file == built.file:
@@ -190,25 +172,7 @@ def test_the_probe_refuses_a_device_with_a_wrong_kernel(tmp_path, compiled, faul
 
 # --- quirks -----------------------------------------------------------------------------------
 
-#: Every file, in all its variants for one dimension.
-VARIANTS = [
-    *(
-        Variant(file, 5, precise, listed, masked=listed and file == "plan_shares.cl")
-        for file in ROW_FILES
-        for precise in (False, True)
-        for listed in (False, True)
-    ),
-    *(
-        Variant("log_sum_exp.cl", 5, True, listed, bounded)
-        for listed, bounded in ((False, 1), (True, 1))
-    ),
-    *(
-        Variant("log_sum_exp.cl", 5, precise, True, bounded, masked=True)
-        for precise, bounded in ((False, 0), (True, 0), (True, 1), (True, 2))
-    ),
-    Variant("near_field.cl", 5, listed=True),
-    *(Variant(file) for file in KERNELS if file not in (*ROW_FILES, "near_field.cl")),
-]
+VARIANTS = all_variants()
 
 
 def test_the_variants_are_of_every_file():

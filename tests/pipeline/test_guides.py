@@ -143,7 +143,9 @@ def test_labels_of_what_is_not_transparent(rng):
     morph = clmorph.morph(clear, clear[:, ::-1], labels="auto", n_frames=2, backend="numpy")
     first, second = morph.particles.labels
     assert first.sum() == second.sum() == 36
-    with pytest.raises(InputError, match=r"labels='auto' cannot look for people: a mesh is missing"):
+    with pytest.raises(
+        InputError, match=r"labels='auto' cannot look for people: a mesh is missing"
+    ):
         clmorph.morph(clear, opaque, labels="auto", n_frames=2, backend="numpy")
 
 

@@ -89,6 +89,25 @@ def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
     )
 
 
+def all_variants(dimension: int = 5) -> tuple[Variant, ...]:
+    """Return every file in every variant that operations on points of a dimension use."""
+    both = False, True
+    softmins = [(False, False, 0), (False, True, 0), (True, False, 0), (True, True, 0)]
+    softmins += [(True, False, 1), (True, True, 1)]
+    masked = [(False, True, 0), (True, True, 0), (True, True, 1), (True, True, 2)]
+    made = [Variant("log_sum_exp.cl", dimension, *kind) for kind in softmins]
+    made += [Variant("log_sum_exp.cl", dimension, *kind, masked=True) for kind in masked]
+    made.append(Variant("near_field.cl", dimension, listed=True))
+    for file in ("plan_rows.cl", "barycentric_projection.cl", "plan_shares.cl"):
+        made += [
+            Variant(file, dimension, precise, listed, masked=listed and file == "plan_shares.cl")
+            for precise in both
+            for listed in both
+        ]
+    rest = [Variant(file) for file in KERNELS if file not in {variant.file for variant in made}]
+    return (*made, *rest)
+
+
 def used_together(variant: Variant) -> tuple[Variant, ...]:
     """Return the variants that one morph uses, with this one among them; else this one alone."""
     dimension = variant.dimension or 5
