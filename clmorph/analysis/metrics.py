@@ -32,7 +32,8 @@ from clmorph.analysis.film_metrics import (
     unevenness,
 )
 from clmorph.backends.arrays import as_floats
-from clmorph.backends.select import Backend
+from clmorph.backends.multi_device import members_of
+from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.frames.as_measure import (
     FRAME_WEIGHTS,
@@ -145,7 +146,8 @@ def path_divergence(
     own_reach = given.reach
     if isinstance(own_reach, tuple):
         raise InputError(f"the reach is {own_reach}: give one reach for both measures")
-    operations = morph.operations if backend is None else backend
+    # Divergences are computed one after the other.
+    device = members_of(get_backend(morph.operations if backend is None else backend))[0]
     if weights is None:
         weights = "uniform" if to == "target" else "kernel"
     max_points = check_integer("max_points", max_points, 16, 1 << 20)
@@ -161,9 +163,7 @@ def path_divergence(
             if to == "target"
             else particle_measure(morph, t, max_points=max_points)[0]
         )
-        result.append(
-            sinkhorn_divergence(frame, other, given.blur, own_reach, tol, backend=operations)
-        )
+        result.append(sinkhorn_divergence(frame, other, given.blur, own_reach, tol, backend=device))
         report((number + 1) / len(moments))
     return result
 

@@ -106,9 +106,7 @@ class Operations(Protocol):
     shares_host_memory: bool
     #: Whether the device is the host's processor itself.
     on_processor: bool
-    #: The name of the device's records in the cache: a digest of device, driver and kernels.
-    record_key: str
-    #: Point pairs per second of the log-sum-exp by a record of the device; 0 if there is none.
+    #: Point pairs per second of the log-sum-exp in the device's trial; 0 if unknown.
     pairs_per_second: float
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Any:

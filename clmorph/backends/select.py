@@ -39,9 +39,9 @@ def get_backend(backend: Backend = "auto") -> Operations:
         operations is returned as it is. A device, a context of one device, or a queue of a host
         program: all work runs in that context and queue, and the same object gives the same
         operations again. A list such as ["0:0", "0:1"] or ["intel", "numpy"], or
-        such names joined by commas ("0:0,0:1", also in ``CLMORPH_DEVICE``): the work is divided
-        over these devices in proportion to their recorded speeds, see
-        `clmorph/backends/several/README.md`.
+        such names joined by commas ("0:0,0:1", also in ``CLMORPH_DEVICE``): these devices share
+        the frames of a morph and the problems of a batch in proportion to their speeds; a single
+        solve uses the first.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def get_backend(backend: Backend = "auto") -> Operations:
 
 def _several(given: Sequence[Any]) -> Operations:
     """Return the operations on several devices, each of them as `get_backend` takes it."""
-    from clmorph.backends.several import open_several
+    from clmorph.backends.multi_device import open_several
 
     for one in given:
         if isinstance(one, list | tuple) or (isinstance(one, str) and "," in one):

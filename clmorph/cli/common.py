@@ -85,15 +85,14 @@ def open_backend(device: str | None, backend: str | None) -> Any:
     """Choose the device and print its name."""
     if device is not None and backend not in (None, "auto", "opencl"):
         raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
+    from clmorph.backends.multi_device import sharing_notes
     from clmorph.backends.select import get_backend
-    from clmorph.backends.several import sharing_note
 
     with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
         operations = get_backend(device or backend or "auto")
     say(f"device: {operations.description}")
-    shared = sharing_note(operations)
-    if shared is not None:
-        note(shared)
+    for each in sharing_notes(operations):
+        note(each)
     return operations
 
 

@@ -5,7 +5,8 @@ from collections.abc import Generator
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.several import frame_turns, members_of, results_in_order
+from clmorph.backends.multi_device import members_of, turns
+from clmorph.backends.threads import results_in_order
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.layers import Layers
@@ -15,25 +16,17 @@ from clmorph.frames.render import Sums, Widths
 class SpreadRenderer:
     """Renders a morph by the devices of a backend, as `FrameRenderer` does by one device.
 
-    The number of a frame and the devices' shares of the work decide which device renders it, so
-    that frames repeat to the bit. A frame at another time is rendered by the device with the
-    largest share. That device also computes the correction of the ends, which all devices use.
+    The number of a frame and the devices' speeds decide which device renders it, so that frames
+    repeat to the bit. A frame at another time is rendered by the first device, which also computes
+    the correction of the ends that all devices use.
     """
 
     def __init__(self, renderer: FrameRenderer, times: NDArray[np.float64]) -> None:
-        members = members_of(renderer.operations)
-        shares = [share for _, share in members]
-        self._first = renderer
-        self._renderers = [renderer]
-        if len(members) > 1:
-            lone = int(np.argmax(shares))
-            self._first = renderer.on(members[lone][0])
-            self._renderers = [
-                self._first if number == lone else renderer.on(member, self._first)
-                for number, (member, _) in enumerate(members)
-            ]
+        first, *others = members_of(renderer.operations)
+        self._first = renderer if not others else renderer.on(first)
+        self._renderers = [self._first, *(renderer.on(each, self._first) for each in others)]
         self._times = times
-        self._turns = frame_turns(shares, len(times)).tolist()
+        self._turns = turns(renderer.operations, len(times))
         self._turn_at = {float(t): turn for t, turn in zip(times, self._turns, strict=True)}
 
     def canvas(self, t: float) -> Canvas:

@@ -13,6 +13,7 @@ from clmorph._shared.progress import StageProgress
 from clmorph._shared.typing import IntArray, Progress
 from clmorph._shared.validation import check_progress
 from clmorph.backends.interface import Operations
+from clmorph.backends.multi_device import members_of
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.frames.kernel_width import KernelWidth, effective_count
@@ -203,7 +204,7 @@ class ImagePair:
         options = self.options
         if parts[0].points is None:
             found = sinkhorn(
-                *parts[0].measures, backend=operations, progress=report,
+                *parts[0].measures, backend=members_of(operations)[0], progress=report,
                 **options.of(SolverOptions),
             )  # fmt: skip
             return [found], found

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_progress
+from clmorph.backends.multi_device import members_of
 from clmorph.errors import InputError
 from clmorph.frames.as_measure import frame_measure, particle_measure
 from clmorph.frames.render import Widths
@@ -61,12 +62,12 @@ def _objective(morph: Morph, t: float) -> Callable[[float], float]:
     blur, reach = morph.potentials.blur, morph.potentials.reach
     assert not isinstance(reach, tuple)  # the caller has checked it
 
-    local = morph.kernel_width.splatting == "local"
+    local, device = morph.kernel_width.splatting == "local", members_of(morph.operations)[0]
 
     def divergence(width: float) -> float:
         sums = morph.sums(t, widths=Widths(width, local, closed=True))
         frame = frame_measure(morph, t, sums=sums)
-        return float(sinkhorn_divergence(frame, particles, blur, reach, backend=morph.operations))
+        return float(sinkhorn_divergence(frame, particles, blur, reach, backend=device))
 
     return divergence
 

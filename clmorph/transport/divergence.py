@@ -16,6 +16,7 @@ import numpy as np
 from clmorph._shared.typing import Progress
 from clmorph._shared.validation import check_flag, check_progress, shown
 from clmorph.backends.interface import Operations
+from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
@@ -214,7 +215,7 @@ def sinkhorn_divergence(
     check_symmetric(*pair)
     if cross is not None:
         _check_cross(cross, *pair, given)
-    operations = get_backend(backend)
+    operations = for_one_solve(get_backend(backend))
     check_problem(*pair, given, operations, precision, tol)
 
     known = cross is not None

@@ -12,6 +12,7 @@ from clmorph._shared.validation import (
     check_flag,
     check_progress,
 )
+from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.records import LastPasses
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning
@@ -150,7 +151,7 @@ def sinkhorn(
     verify = check_flag("verify", verify)
     report = check_progress(progress)
     pair = as_pair(source, target)
-    operations = get_backend(backend)
+    operations = for_one_solve(get_backend(backend))
     check_problem(*pair, given, operations, precision, tol)
     many = len(pair[0]) * len(pair[1]) >= MANY_PAIRS
     limit = choose_truncation(truncation, tol, many)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -10,7 +11,9 @@ import numpy as np
 from clmorph._shared.typing import ArrayLike, Progress
 from clmorph._shared.validation import check_progress
 from clmorph.backends.interface import MAX_BATCH, Operations
+from clmorph.backends.multi_device import members_of, turns
 from clmorph.backends.select import Backend, get_backend
+from clmorph.backends.threads import results_in_order
 from clmorph.errors import InputError
 from clmorph.measures.many import Checked, as_many
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
@@ -64,7 +67,7 @@ def sinkhorn_batch(
     blur, reach, tol, max_iter, epsilon, rho, precision
         As in `clmorph.sinkhorn`, for all problems.
     backend : str, object of pyopencl, or Operations
-        See `clmorph.get_backend`. Several devices solve a batch on the one with the largest share.
+        See `clmorph.get_backend`. Several devices share the problems.
     progress : callable, optional
         A function that is called with the share of the work that is done, from 0 to 1.
     **others
@@ -211,32 +214,43 @@ def solve_many(
             check_problem(*pair, given, operations, precision, tol)
         except InputError as error:
             raise InputError(f"{name(number)}: {error}") from None
-    done, parts = 0, list[Part]()
-    for numbers in together(pairs, given.rho):
+    lists = together(pairs, given.rho, len(members_of(operations)))
+    done, lock = [0.0] * len(lists), threading.Lock()
+
+    def part(member: int, place: int) -> Part:
+        """Solve the problems of a list on a device."""
+        numbers, device = lists[place], members_of(operations)[member]
         own = [pairs[number] for number in numbers]
 
-        def share(value: float, done: int = done, count: int = len(own)) -> None:
-            report((done + value * count) / len(pairs))
+        def share(value: float) -> None:
+            with lock:
+                done[place] = value * len(own)
+                report(sum(done) / len(pairs))
 
         options = tol, max_iter, precision, share
         try:
             if _is_large(own[0]):
-                parts.append(
-                    Single(numbers[0], _solve_large(own[0], operations, given, *options, exact))
+                return Single(numbers[0], _solve_large(own[0], device, given, *options, exact))
+            problem = problem_of_many(device, own, given.rho)
+            if is_symmetric(own[0], given.rho):
+                return Solved(
+                    np.array(numbers), solve_symmetric(problem, given.blur, *options), given
                 )
-            else:
-                problem = problem_of_many(operations, own, given.rho)
-                if is_symmetric(own[0], given.rho):
-                    iteration = solve_symmetric(problem, given.blur, *options)
-                else:
-                    iteration = Iteration(problem, given.blur, *options, exact=exact)
-                    iteration.run()
-                parts.append(Solved(np.array(numbers), iteration, given))
+            iteration = Iteration(problem, given.blur, *options, exact=exact)
+            iteration.run()
+            return Solved(np.array(numbers), iteration, given)
         except NotFiniteError as error:
             raise overflow(f"{name(numbers[error.problem])}: points") from None
         except InputError as error:
             raise InputError(f"{name(numbers[0])}: {error}") from None
-        done += len(own)
+        finally:
+            done[place] = float(len(own))
+
+    order = turns(operations, len(lists))
+    if len(set(order)) < 2:
+        parts = [part(order[place], place) for place in range(len(lists))]
+    else:
+        parts = list(results_in_order(order, part))
     return PotentialsBatch(parts, len(pairs))
 
 
@@ -264,9 +278,9 @@ def _solve_large(
 
 
 def together(
-    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float]
+    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float], devices: int = 1
 ) -> list[list[int]]:
-    """Return the numbers of the problems that are solved together.
+    """Return the numbers of the problems that are solved together, in lists for each device.
 
     All of a list are in one dimension, and all or none are of a measure with itself.
 
@@ -291,4 +305,8 @@ def together(
             lists.append(own)
         own.append(number)
         open_lists[kind] = own, total
-    return lists
+    if devices == 1:
+        return lists
+    # Each device has a part of every list.
+    pieces = (np.array_split(own, min(devices, len(own))) for own in lists)
+    return [piece.tolist() for of_list in pieces for piece in of_list]

@@ -142,7 +142,7 @@ def test_a_tuned_build_that_fails_is_forgotten(device, fresh_search, tmp_path, m
     """The device stays usable: its own build may be right."""
     start, variant = choose_constants(device.device), Variant("plan_shares.cl", 5)
     best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
-    tuned_record.save_tuning(device.device, best, start, 1e9)
+    tuned_record.save_tuning(device.device, best, start)
     operations = OpenCLOperations(device.device)
     assert operations.constants == best
     key = program_key(device.device, variant, best)
@@ -156,7 +156,7 @@ def test_a_tuned_build_that_fails_is_forgotten(device, fresh_search, tmp_path, m
 def test_constants_of_the_caller_leave_the_tuning(device, fresh_search):
     start, variant = choose_constants(device.device), Variant("plan_shares.cl", 5)
     best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
-    tuned_record.save_tuning(device.device, best, start, 1e9)
+    tuned_record.save_tuning(device.device, best, start)
     verdicts.save_program_verdict(program_key(device.device, variant, best), "wrong result of x")
     with pytest.raises(DeviceError, match="is unusable"):
         OpenCLOperations(device.device, best).programs.verify(variant)
@@ -166,7 +166,7 @@ def test_constants_of_the_caller_leave_the_tuning(device, fresh_search):
 def test_the_first_trial_leaves_the_tuned_build_out(device, fresh_search, monkeypatch):
     start = choose_constants(device.device)
     best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
-    tuned_record.save_tuning(device.device, best, start, 1e9)
+    tuned_record.save_tuning(device.device, best, start)
     built = []
 
     def failure(operations, variant):
@@ -183,7 +183,7 @@ def test_reset_takes_an_unusable_device(device, asked, capsys, reason, tmp_path)
     index = find.index_of(device.device)
     start = choose_constants(device.device)
     best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
-    tuned_record.save_tuning(device.device, best, start, 1e9)
+    tuned_record.save_tuning(device.device, best, start)
     find.mark_unusable(device.device, reason)
     assert main(["tune", "--device", index]) == 2
     assert "unusable" in capsys.readouterr().err

@@ -3,9 +3,9 @@
 import numpy as np
 import pyopencl as cl
 
+from clmorph.backends.multi_device import MultiDevice
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.several import SeveralDevices
 
 
 def two_parts(handle):
@@ -24,10 +24,8 @@ def two_parts(handle):
 
 #: name -> function of operations on one device that returns several devices.
 KINDS = {
-    "halves": lambda device: SeveralDevices(two_parts(device.device)),
-    "99 to 1": lambda device: SeveralDevices(two_parts(device.device), [0.99, 0.01]),
-    "with NumPy": lambda device: SeveralDevices([NumPyOperations(), device], [0.3, 0.7]),
-    "three": lambda device: SeveralDevices([*two_parts(device.device), device], [1, 2, 3]),
+    "halves": lambda device: MultiDevice(two_parts(device.device)),
+    "with NumPy": lambda device: MultiDevice([device, NumPyOperations()]),
 }
 
 

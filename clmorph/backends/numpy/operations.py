@@ -38,7 +38,6 @@ class NumPyOperations:
     max_spread = MAX_SPREAD
     memory_bytes: int | None = None
     shares_host_memory = on_processor = True
-    record_key = "numpy"
     pairs_per_second = 0.0
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:

@@ -12,7 +12,7 @@ from clmorph.backends.opencl.build.tuned_record import tuned_constants
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
 from clmorph.backends.opencl.devices.quirks import shares_host_memory
-from clmorph.backends.opencl.devices.speed import probed_speed, record_key
+from clmorph.backends.opencl.devices.verdicts import probed_speed
 from clmorph.backends.opencl.kernels.barycentric_projection import BarycentricProjection
 from clmorph.backends.opencl.kernels.batches import BatchLogSumExp
 from clmorph.backends.opencl.kernels.clouds import CloudStore
@@ -65,7 +65,7 @@ class OpenCLOperations:
         self.memory_bytes: int | None = int(device.global_mem_size)
         self.shares_host_memory = shares_host_memory(device)
         self.on_processor = bool(device.type & cl.device_type.CPU)
-        self.record_key, self.pairs_per_second = record_key(device), probed_speed(device)
+        self.pairs_per_second = probed_speed(device)
         self.description = (
             f"{' '.join(device.name.split())} "
             f"({device.platform.name.strip()}, driver {device.driver_version.strip()})"

@@ -57,7 +57,7 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants
                 best, after = other, speed
     while best != start and not _is_right(device, best, tell):
         best, after = slower.pop()
-    save_tuning(device, best, start, after)
+    save_tuning(device, best, start)
     return best, before, after
 
 

@@ -7,7 +7,6 @@ import pyopencl as cl
 from clmorph.backends.opencl.build.constants import BuildConstants, apply_quirks, choose_constants
 from clmorph.backends.opencl.devices.cache import forget_cached, load_record, save_record
 from clmorph.backends.opencl.devices.quirks import find_quirks
-from clmorph.backends.opencl.devices.speed import forget_speed, save_speed
 from clmorph.backends.opencl.devices.verdicts import device_key
 
 #: The constants that tuning tries, one after the other, and their values.
@@ -30,23 +29,19 @@ def is_possible(constants: BuildConstants, largest_group: int) -> bool:
     )
 
 
-def save_tuning(
-    device: cl.Device, best: BuildConstants, start: BuildConstants, pairs_per_second: float
-) -> None:
-    """Save the constants that tuning has changed since `start`, and the speed it has reached."""
+def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) -> None:
+    """Save the constants that tuning has changed since `start`."""
     entry = {
         name: getattr(best, name)
         for name in CANDIDATES
         if getattr(best, name) != getattr(start, name)
     }
     save_record(_record(device), entry)
-    save_speed(device, pairs_per_second)
 
 
 def forget_tuning(device: cl.Device) -> None:
     """Forget tuned constants, so that those for the kind of device are used again."""
     forget_cached(f"{_record(device)}.json")
-    forget_speed(device)
 
 
 def tuned_constants(device: cl.Device) -> BuildConstants:

@@ -95,6 +95,21 @@ def load_verdict(key: str) -> dict[str, Any] | None:
     return verdict if whole else None
 
 
+def probed_speed(device: "cl.Device") -> float:
+    """Return point pairs per second as the probe has measured them; 0 if it has not.
+
+    A part of a device has the verdict of the whole, but not its speed.
+    """
+    import pyopencl as cl
+
+    try:
+        part = device.parent_device is not None
+    except cl.Error:  # OpenCL 1.1 has no parts
+        part = False
+    verdict = None if part else load_verdict(verdict_key(device))
+    return float((verdict or {}).get("pairs_per_second", 0.0))
+
+
 def save_verdict(key: str, verdict: dict[str, Any]) -> None:
     """Store a verdict, unless its cause is temporary."""
     if verdict.get("lasting", True):
