@@ -17,6 +17,7 @@ from clmorph.images.detail import auto_sigma
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.pair_count import part_of
+from clmorph.transport._solver.plan_softmin import clouds_of, uploaded
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import sample_plan
@@ -80,8 +81,7 @@ def fill_seconds(
     rng = np.random.default_rng(0)
     chosen = np.sort(rng.choice(massive, min(count, len(massive)), replace=False))
     some = part_of(whole[0], chosen)
-    rows = operations.upload(some.points, some.weights, some.offsets)
-    columns = operations.upload(whole[1].points, whole[1].weights, whole[1].offsets)
+    rows, columns = uploaded(operations, some), clouds_of(operations, whole, potentials)[1]
     f, g, epsilon = potentials.f[chosen], potentials.g, potentials.epsilon
     thresholds = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon
     thresholds += np.log(some.weights * 1e-4)

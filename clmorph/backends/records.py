@@ -90,12 +90,14 @@ class LastPasses(NamedTuple):
     potentials: tuple[Float64, Float64]  #: f and g, for which these results are
     softmins: tuple[Float64, Float64]  #: T(g) and T(f), cost units
     near: tuple[NearPairs, NearPairs]  #: the pairs that these have summed
+    clouds: tuple[Any, Any]  #: source and target, which the backend holds
 
     def swapped(self) -> "LastPasses":
         """Return those of the problem with source and target exchanged."""
         return self._replace(
-            potentials=self.potentials[::-1], softmins=self.softmins[::-1], near=self.near[::-1]
-        )
+            potentials=self.potentials[::-1], softmins=self.softmins[::-1], near=self.near[::-1],
+            clouds=self.clouds[::-1],
+        )  # fmt: skip
 
 
 class StoredPairs(NamedTuple):

@@ -1,6 +1,7 @@
 """Predict the number of kept pairs of a plan before it is built."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from clmorph._shared.validation import check_integer
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
+from clmorph.transport._solver.plan_softmin import clouds_of, uploaded
 from clmorph.transport.options import PlanOptions, PruningOptions
 from clmorph.transport.potentials import Potentials
 
@@ -42,9 +44,12 @@ def predict_pairs(
     rows = check_integer("rows", rows, 1, 1 << 24)
     rng = np.random.default_rng(check_integer("seed", seed, 0, 2**63))
     operations = get_backend(backend)
+    clouds = clouds_of(operations, (source, target), potentials)
     sides = [
-        _Side(operations, measure, potential, rows, rng)
-        for measure, potential in ((source, potentials.f), (target, potentials.g))
+        _Side(operations, cloud, measure, potential, rows, rng)
+        for cloud, measure, potential in zip(
+            clouds, (source, target), (potentials.f, potentials.g), strict=True
+        )
     ]
     epsilon, precise = potentials.epsilon, potentials.precise
     if log_threshold is not None:
@@ -87,6 +92,7 @@ class _Side:
     def __init__(
         self,
         operations: Operations,
+        cloud: Any,
         measure: AnyMeasure,
         potential: Array,
         count: int,
@@ -96,9 +102,8 @@ class _Side:
         self.chosen = np.sort(rng.choice(massive, min(count, len(massive)), replace=False))
         self.scale = len(massive) / len(self.chosen)
         self.size, self.potential, self.few = len(measure), potential, potential[self.chosen]
-        self.cloud = operations.upload(measure.points, measure.weights, measure.offsets)
-        some = part_of(measure, self.chosen)
-        self.part = operations.upload(some.points, some.weights, some.offsets)
+        self.cloud, some = cloud, part_of(measure, self.chosen)
+        self.part = uploaded(operations, some)
         self.log_weights = np.log(some.weights)
 
 

@@ -126,10 +126,7 @@ def merged(first: Indices, second: Indices, source: Array, target: Array) -> Ind
     A set of sources that both permutations send to the same targets can follow either of them
     (BSP-OT, "merging"), so each smallest such set follows the cheaper one.
 
-    Parameters
-    ----------
-    first, second : (N,) arrays
-    source, target : (N, D) arrays
+    first, second: (N,); source, target: (N, D).
     """
     n = len(first)
     owner = np.empty(n, np.intp)
@@ -143,10 +140,7 @@ def merged(first: Indices, second: Indices, source: Array, target: Array) -> Ind
 def partitioned(source: Array, target: Array, rng: np.random.Generator) -> Indices:
     """Return the permutation of a binary space partition of both clouds.
 
-    Parameters
-    ----------
-    source, target : (N, D) arrays
-    rng : numpy.random.Generator
+    source, target: (N, D).
     """
     n = len(source)
     rows, columns = np.arange(n), np.arange(n)

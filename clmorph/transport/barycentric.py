@@ -73,13 +73,7 @@ class Barycentric:
 
 
 def check_barycentric(name: str, value: Any, sizes: tuple[int, int]) -> Barycentric:
-    """Return mean destinations after checking that they belong to images of these sizes.
-
-    Raises
-    ------
-    InputError
-        If `value` is no Barycentric, has other sizes, or is not finite.
-    """
+    """Return mean destinations after checking that they belong to images of these sizes."""
     if not isinstance(value, Barycentric):
         raise InputError(
             f"{name}={shown(value)}: expected a Plan, as clmorph.transport_plan returns it, or a "
@@ -161,13 +155,7 @@ def barycentric_plan(
 
 
 def destination_colors(source: Measure, target: Measure) -> Callable[[Array], Array]:
-    """Return the function from mean lifted destinations (K, D) to sRGB colors (K, 3).
-
-    Raises
-    ------
-    InputError
-        If the cost does not depend on all of color.
-    """
+    """Return the function from mean lifted destinations (K, D) to sRGB colors (K, 3)."""
     _, lifted = as_pair(source, target)
     # For every cost, lifted points are linear in the coordinates of colors.
     features = np.column_stack((lifted.points, np.ones(len(target))))

@@ -9,9 +9,7 @@ from clmorph._shared.progress import Report
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.measures.pixel_blocks import PixelBlocks
-from clmorph.transport._solver.checks import choose_truncation
-from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin
+from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.options import SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import regularization
@@ -35,33 +33,18 @@ def transport_pixels(
 ) -> PixelTransport:
     """Solve between blocks, and extend the potentials to the pixels by one softmin each.
 
-    Parameters
-    ----------
-    source, target : PixelBlocks
-        With equal masses in all.
-    blur, tol : float
-        As in `clmorph.sinkhorn`. There is no warning if `tol` is not reached.
-    operations : Operations
-    report : callable
-        Called with the share of the solve that is done.
-
-    Returns
-    -------
-    PixelTransport
-        The certificate of the potentials is that of the blocks.
+    source, target: with equal masses in all; report: called with the share of the solve that is
+    done; Result: the certificate of the potentials is that of the blocks.
     """
     pair = source.coarse, target.coarse
     given = regularization(blur, None, None, None)
-    many = len(pair[0]) * len(pair[1]) >= MANY_PAIRS
-    limit = choose_truncation("auto", tol, many)
-    problem = Problem.between(operations, *pair, given.rho, limit)
-    found = solve(problem, pair, given, tol, SolverOptions.max_iter, "auto", report)
+    found = solve(operations, pair, given, tol, SolverOptions.max_iter, "auto", report)
     epsilon = given.epsilon
 
     def extended(own: PixelBlocks, other: PixelBlocks, f: Array, g: Array) -> tuple[Softmin, Array]:
         rows, columns = (operations.upload(m.points, m.weights) for m in (own.fine, other.coarse))
         weights = own.fine.weights, other.coarse.weights
-        softmin = Softmin(operations, rows, columns, weights, limit)
+        softmin = Softmin(operations, rows, columns, weights, found.truncation)
         softmin.guess = f[own.owners]
         return softmin, softmin(g, epsilon)
 

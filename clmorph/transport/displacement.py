@@ -142,20 +142,10 @@ def displacement_of(
 ) -> Displacement:
     """Measure how far a plan moves mass, from its mean destinations and its marginals.
 
-    Parameters
-    ----------
-    source, target : Measure
-        Lifted images of N and M pixels.
-    destinations : (N, 2) array
-        Mean destination of each source pixel, in the common frame.
-    row_mass, column_mass : (N,) and (M,) arrays
-        Mass that leaves each source pixel, and mass that arrives at each target pixel.
-    mask : float
-        Rows of at most this mass count as resting.
-
-    Returns
-    -------
-    Displacement
+    source, target: lifted images of N and M pixels; destinations: (N, 2), mean destination of each
+    source pixel, in the common frame; row_mass, column_mass: (N,) and (M,), mass that leaves each
+    source pixel, and mass that arrives at each target pixel; mask: rows of at most this mass count
+    as resting.
     """
     height, width = source.shape
     moves = row_mass > mask

@@ -23,10 +23,7 @@ from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.checks import (
     check_problem,
     check_solver_options,
-    choose_truncation,
 )
-from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.gradient import Gradient, divergence_gradient
@@ -234,13 +231,9 @@ def sinkhorn_divergence(
     result = combined(cross, parts[0], parts[1], given)
     smaller = further_tol(result, tol)
     if smaller is not None and not known:
-        problem = Problem.between(
-            operations, *pair, given.rho, choose_truncation("auto", smaller, _is_large(pair))
-        )
         further = solve(
-            problem, pair, given, smaller, max_iter, precision, lambda share: None,
-            exact=True,
-        )  # fmt: skip
+            operations, pair, given, smaller, max_iter, precision, lambda share: None, exact=True
+        )
         cross = replace(better(cross, further, tol), measures=pair)
         result = combined(cross, parts[0], parts[1], given)
     if gradient:
@@ -256,13 +249,7 @@ def _warn_of_itself(own: Potentials) -> None:
 
 
 def one_regularization(blur: Any, reach: Any, epsilon: Any, rho: Any) -> Regularization:
-    """Return checked strengths, with one reach for both measures; see `regularization`.
-
-    Raises
-    ------
-    InputError
-        If a value cannot be used, or there are two.
-    """
+    """Return checked strengths, with one reach for both measures; see `regularization`."""
     given = regularization(blur, reach, epsilon, rho)
     if isinstance(given.reach, tuple):
         raise InputError(
@@ -273,13 +260,7 @@ def one_regularization(blur: Any, reach: Any, epsilon: Any, rho: Any) -> Regular
 
 
 def check_symmetric(*measures: AnyMeasure) -> None:
-    """Check that the cost of measures is a squared distance.
-
-    Raises
-    ------
-    InputError
-        If a measure has offsets.
-    """
+    """Check that the cost of measures is a squared distance."""
     if any(measure.offsets is not None for measure in measures):
         raise InputError(
             "a cost with a metric for each source pixel is no distance, so there is no "
@@ -292,16 +273,7 @@ def combined(
 ) -> Divergence:
     """Return the divergence that three solves prove.
 
-    Parameters
-    ----------
-    cross, source, target : Potentials
-        Of the problem between both measures, and of each measure with itself.
-    given : Regularization
-
-    Raises
-    ------
-    InputError
-        If no bound can be proven for a part of the result.
+    cross, source, target: of the problem between both measures, and of each measure with itself.
     """
     parts = source, target
     if not all(np.isfinite(part.gap) for part in (cross, *parts)):
@@ -343,11 +315,7 @@ def further_tol(found: Divergence, tol: float) -> float | None:
 def better(before: Potentials, after: Potentials, tol: float) -> Potentials:
     """Return those of two potentials whose values are nearer, with the status that `tol` implies.
 
-    Parameters
-    ----------
-    before, after : Potentials
-        Of one problem, the latter solved to a smaller residual than `tol`.
-    tol : float
+    before, after: of one problem, the latter solved to a smaller residual than `tol`.
     """
     if after.gap >= before.gap:
         return before
@@ -369,11 +337,6 @@ def _check_cross(
         )
 
 
-def _is_large(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
-    """Return whether sums of a problem are truncated."""
-    return len(pair[0]) * len(pair[1]) >= MANY_PAIRS
-
-
 def self_transport_of(
     measure: AnyMeasure,
     given: Regularization,
@@ -384,16 +347,7 @@ def self_transport_of(
 ) -> Potentials:
     """Solve the problem of a measure with itself, without a warning.
 
-    Parameters
-    ----------
-    measure : Measure or WeightedPoints
-    given : Regularization
-        With one reach for both sides.
-    tol, max_iter, precision
-        As in `clmorph.sinkhorn`.
-    operations : Operations
+    given: with one reach for both sides.
     """
-    truncation = choose_truncation("auto", tol, _is_large((measure, measure)))
-    problem = Problem.between(operations, measure, measure, given.rho, truncation)
     options = given, tol, max_iter, precision, lambda share: None
-    return solve(problem, (measure, measure), *options)
+    return solve(operations, (measure, measure), *options)

@@ -169,16 +169,8 @@ def solve_further(
 ) -> None:
     """Solve those problems further whose divergences have wide intervals; see `further_tol`.
 
-    Parameters
-    ----------
-    solved : PotentialsBatch
-        Changed in place.
-    selves : mapping
-        For some of the problems, the potentials of source and target with themselves.
-    pairs : sequence of (source, target)
-        Of all problems.
-    given, tol, max_iter, operations, precision, name
-        As in `solve_many`.
+    solved: changed in place; selves: for some of the problems, the potentials of source and target
+    with themselves; pairs: sequence of (source, target), of all problems.
     """
     wide: dict[int, float] = {}
     for number, own in selves.items():

@@ -54,28 +54,10 @@ def entropic_map(
 ) -> Mapped:
     """Map points by the potential of a measure, over all its points, a part at a time.
 
-    Parameters
-    ----------
-    points : (K, D) array
-        K may be 0.
-    target : Measure or WeightedPoints
-        A measure of M points in D dimensions.
-    potential : (M,) array, cost units
-    epsilon : float, cost units
-    operations : Operations
-    precise : bool
-        Whether exponents are formed in more than float32 in any case. They are if the points are
-        so far from the target that float32 would round them by more than `ROUNDING`.
-
-    Returns
-    -------
-    Mapped
-
-    Raises
-    ------
-    InputError
-        If the points are so far away that exponents of more than about 10^9 nats occur, which
-        devices cannot form.
+    points: (K, D), K may be 0; target: A measure of M points in D dimensions; potential: (M,), cost
+    units; epsilon: float, cost units; precise: whether exponents are formed in more than float32 in
+    any case. They are if the points are so far from the target that float32 would round them by
+    more than `ROUNDING`.
     """
     massive = target.points[target.weights > 0]
     low, high = massive.min(axis=0), massive.max(axis=0)
@@ -115,12 +97,8 @@ def _scales(distances: Array, radius: float) -> Array:
     it; the squares go into offsets. So points and target become equally large. Powers of 2 round
     nothing, and few of them occur.
 
-    Parameters
-    ----------
-    distances : (K,) array
-        Distances of the points from the middle of the target.
-    radius : float
-        Half the diagonal of the target's bounding box.
+    distances: (K,), distances of the points from the middle of the target; radius: half the
+    diagonal of the target's bounding box.
     """
     far = (distances > radius) & (radius > 0)
     ratios = np.divide(distances, radius, out=np.ones(len(distances)), where=far)
@@ -138,13 +116,7 @@ def _scaled(target: AnyMeasure, middle: Array, scale: float, operations: Operati
 
 
 def as_places(points: Any, target: AnyMeasure) -> Array:
-    """Return points that are to be mapped into a measure, as a (K, D) array.
-
-    Raises
-    ------
-    InputError
-        If they are no points, or not in the space of the measure.
-    """
+    """Return points that are to be mapped into a measure, as a (K, D) array."""
     if isinstance(points, Measure | WeightedPoints):
         if isinstance(points, Measure) and isinstance(target, Measure):
             return as_measures(points, target)[0].points

@@ -143,12 +143,8 @@ def divergence_gradient(
 ) -> Gradient:
     """Return the derivatives of the divergence of two measures, given its three solves.
 
-    Parameters
-    ----------
-    pair : (source, target)
-    cross : Potentials
-    selves : (Potentials of the source with itself, Potentials of the target with itself)
-    operations : Operations
+    pair: (source, target); selves: (Potentials of the source with itself, Potentials of the target
+    with itself).
     """
     points, weights = [], []
     both = uploaded(operations, pair[0]), uploaded(operations, pair[1])

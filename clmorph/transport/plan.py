@@ -262,17 +262,7 @@ def _share_dropped(kept: Any, whole: Any) -> Any:
 def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
     """Return a plan after checking that its measures have these sizes.
 
-    Parameters
-    ----------
-    name : str
-        The name of the plan in error messages.
-    value : Plan
-    sizes : (N, M)
-
-    Raises
-    ------
-    InputError
-        If the value is no plan, has other sizes, or its arrays are inconsistent.
+    name: the name of the plan in error messages; sizes: (N, M).
     """
     if not isinstance(value, Plan):
         raise InputError(

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from clmorph.backends.select import Backend, get_backend
+from clmorph.backends.select import Backend
 from clmorph.errors import InputError, PlanSizeError
 from clmorph.measures.points import MeasureLike, as_pair
-from clmorph.transport._solver.plan_softmin import plan_softmin
-from clmorph.transport._solver.problem import largest_cost
+from clmorph.transport._solver.plan_softmin import (
+    plan_softmin,
+    rounding_of,
+    row_mass,
+    row_softmin,
+)
 from clmorph.transport.options import PlanOptions, PruningOptions, RelativeTo
 from clmorph.transport.plan import BYTES_PER_PAIR, Plan
-from clmorph.transport.potentials import Potentials, check_origin, check_potentials
+from clmorph.transport.potentials import Potentials
 from clmorph.transport.pruning import (
     no_pair_kept,
     only,
@@ -91,20 +95,11 @@ def transport_plan(
     PruningOptions.checked("relative_to", relative_to)
     max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     log_threshold = PlanOptions.checked("log_threshold", log_threshold)
-    check_potentials("potentials", potentials, (len(source), len(target)))
+    operations, (rows, columns), to_rows, softmin = row_softmin(source, target, potentials, backend)
     f, g, epsilon = potentials.f, potentials.g, potentials.epsilon
-    operations = get_backend(backend)
-    rows = operations.upload(source.points, source.weights, source.offsets)
-    columns = operations.upload(target.points, target.weights, target.offsets)
     with np.errstate(divide="ignore"):
         log_a, log_b = np.log(source.weights), np.log(target.weights)
-    with np.errstate(over="ignore"):
-        of_rows = plan_softmin(operations, (rows, columns), (source, target), potentials)
-        to_rows, softmin = of_rows.operator, of_rows.softmin(potentials)
-        whole = np.exp((f - softmin) / epsilon + log_a)
-    largest = largest_cost(source.points, target.points)
-    rounding = to_rows.rounding(len(g), largest, epsilon, potentials.precise)
-    check_origin(potentials, whole, rounding)
+    whole = row_mass(source.weights, potentials, softmin)
     total = float(whole.sum())
     if not total <= 1e3 * max(source.mass, target.mass):
         raise InputError(
@@ -114,7 +109,7 @@ def transport_plan(
         )
     margin = 0.0
     if log_threshold is not None:
-        margin = undecided(log_threshold, rounding)
+        margin = undecided(log_threshold, rounding_of(to_rows, source, target, potentials))
         row_thresholds = np.full(len(f), log_threshold - margin)
         column_thresholds = np.full(len(g), np.inf)
     else:

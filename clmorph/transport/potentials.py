@@ -336,17 +336,7 @@ class Potentials:
 def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potentials:
     """Return potentials after checking that they are usable for measures of these sizes.
 
-    Parameters
-    ----------
-    name : str
-        The name of the potentials in error messages.
-    value : Potentials
-    sizes : (N, M)
-
-    Raises
-    ------
-    InputError
-        If the value is no Potentials, has other sizes, or is not finite.
+    name: the name of the potentials in error messages; sizes: (N, M).
     """
     if not isinstance(value, Potentials):
         raise InputError(
@@ -408,19 +398,8 @@ FOREIGN = 0.01
 def check_origin(potentials: Potentials, row_mass: Array, rounding: float) -> None:
     """Check that potentials belong to measures, by the marginal of the plan.
 
-    Parameters
-    ----------
-    potentials : Potentials
-    row_mass : (N,) array
-        Marginal of the plan of these potentials between the given measures. It must be the one
-        that the potentials contain.
-    rounding : float
-        Largest effect of rounding on a softmin, in nats.
-
-    Raises
-    ------
-    InputError
-        If the potentials were computed for other measures.
+    row_mass: (N,), marginal of the plan of these potentials between the given measures. It must be
+    the one that the potentials contain; rounding: largest effect of rounding on a softmin, in nats.
     """
     nats = 4.0 * rounding + 2.0 * potentials.truncation_error + (potentials.truncation or 0.0)
     own = potentials.row_mass

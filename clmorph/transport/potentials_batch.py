@@ -8,9 +8,8 @@ from typing import overload
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
-from clmorph.transport._solver.batch import one_measured
+from clmorph.transport._solver.batch import certificate_of
 from clmorph.transport._solver.iteration import Iteration
-from clmorph.transport._solver.reductions import Segments
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import outcome
@@ -113,12 +112,9 @@ class Solved:
         """Return the potentials of a problem, by its place among these."""
         of, given = self._iteration, self._given
         rows, columns = of.problem.reductions
-        assert isinstance(rows, Segments)
-        assert isinstance(columns, Segments)
         f, t_rows = rows.part(of.f, place), rows.part(of.t_rows, place)
         g, t_columns = columns.part(of.g, place), columns.part(of.t_columns, place)
         roundoffs = float(of.roundoffs[0, place]), float(of.roundoffs[1, place])
-        problem = one_measured(of.problem, place, roundoffs)
         if self._histories is None:
             self._histories = of.histories()
         status, residual = self.statuses[place], float(of.residual[place])
@@ -127,8 +123,10 @@ class Solved:
         return Potentials(
             f.copy(), g.copy(), given.blur, given.reach, status, message, n_iter,
             residual, self._histories[place].copy(),
-            problem.certificate(f, g, t_rows, t_columns, given.epsilon),
-            bool(of.precise[place]), None, problem.error, 1.0,
+            certificate_of(
+                of.problem, place, (f, g), (t_rows, t_columns), roundoffs, given.epsilon
+            ),
+            bool(of.precise[place]), None, max(roundoffs), 1.0,
         )  # fmt: skip
 
 

@@ -31,20 +31,11 @@ def check_reachable(log_threshold: float, source: AnyMeasure, target: AnyMeasure
 
     At the optimum r_i = a_i e^(-f_i / rho_1) and c_j = b_j e^(-g_j / rho_2) are the plan's
     marginals, and pi_ij is at most each of them. If f_i + g_j <= 0, then pi_ij <= a_i b_j by Eq. 2,
-    as costs are not negative. Otherwise pi_ij is at most the mean r_i^s c_j^(1 - s) with
-    s = rho_1 / (rho_1 + rho_2), which is a_i^s b_j^(1 - s) e^(-(f_i + g_j) / (rho_1 + rho_2)), and
-    that is less than the larger of a_i and b_j.
+    as costs are not negative. Otherwise pi_ij is at most the mean r_i^s c_j^(1 - s) with s = rho_1
+    / (rho_1 + rho_2), which is a_i^s b_j^(1 - s) e^(-(f_i + g_j) / (rho_1 + rho_2)), and that is
+    less than the larger of a_i and b_j.
 
-    Parameters
-    ----------
-    log_threshold : float
-    source, target : Measure or WeightedPoints
-        The measures between which the plan is built.
-
-    Raises
-    ------
-    InputError
-        If no pair can exceed the threshold.
+    source, target: the measures between which the plan is built.
     """
     log_a, log_b = (float(_log(measure.weights).max()) for measure in (source, target))
     largest = max(log_a, log_b, log_a + log_b)
@@ -58,11 +49,7 @@ def check_reachable(log_threshold: float, source: AnyMeasure, target: AnyMeasure
 def no_pair_kept(log_threshold: float, largest: float) -> InputError:
     """Return the error which reports that a plan has no pair above the threshold.
 
-    Parameters
-    ----------
-    log_threshold : float
-    largest : float
-        The largest log pi_ij.
+    largest: the largest log pi_ij.
     """
     return InputError(
         f"log_threshold={log_threshold:g}: no pair of the plan exceeds it, the largest log pi is "
@@ -73,11 +60,7 @@ def no_pair_kept(log_threshold: float, largest: float) -> InputError:
 def undecided(log_threshold: float, rounding: float) -> float:
     """Return a bound of the error of a device's log pi_ij near the threshold, in nats.
 
-    Parameters
-    ----------
-    log_threshold : float
-    rounding : float
-        Largest effect of rounding on a softmin in nats, see `rounding_error`.
+    rounding: largest effect of rounding on a softmin in nats, see `rounding_error`.
     """
     return ROUNDINGS * (rounding + FLOAT32 * max(1.0, abs(log_threshold)))
 
@@ -92,22 +75,10 @@ def strictly_above(
 ) -> PlanRows:
     """Drop pairs that do not exceed the threshold, so that a device's rounding has no effect.
 
-    Parameters
-    ----------
-    pairs : PlanRows
-        All pairs above `log_threshold - margin`, as a device computed them.
-    source, target : Measure or WeightedPoints
-    potentials : Potentials
-    log_threshold : float
-    margin : float
-        A distance in nats, see `undecided`; pairs this near to the threshold are computed again in
-        float64.
-
-    Returns
-    -------
-    PlanRows
-        The pairs whose log pi_ij is above `log_threshold` in float64. They are the same on every
-        device for the same potentials.
+    pairs: all pairs above `log_threshold - margin`, as a device computed them; margin: A distance
+    in nats, see `undecided`; pairs this near to the threshold are computed again in float64;
+    Result: the pairs whose log pi_ij is above `log_threshold` in float64. They are the same on
+    every device for the same potentials.
     """
     log_mass = _log(pairs.mass)
     keep = log_mass > log_threshold
@@ -127,11 +98,7 @@ def strictly_above(
 def only(pairs: PlanRows, keep: BoolArray) -> PlanRows:
     """Return some of the pairs.
 
-    Parameters
-    ----------
-    pairs : PlanRows
-    keep : (kept,) array of bool
-        Whether each pair is kept.
+    keep: (kept,), whether each pair is kept.
     """
     before = np.concatenate(([0], np.cumsum(keep, dtype=np.int64)))
     return PlanRows(before[pairs.indptr], pairs.indices[keep], pairs.mass[keep])

@@ -25,17 +25,8 @@ def refined(
     the same place in the second, or to several pixels if the second block has more of them. Blocks
     move without being changed, so both images keep all their detail.
 
-    Parameters
-    ----------
-    plan : Plan or Barycentric
-        A plan between `source.coarse` and `target.coarse`.
-    source, target : PixelBlocks
-
-    Returns
-    -------
-    Plan or Barycentric
-        The plan between pixels. Its marginals are those of the blocks, divided among the pixels by
-        mass.
+    plan: A plan between `source.coarse` and `target.coarse`; Result: the plan between pixels. Its
+    marginals are those of the blocks, divided among the pixels by mass.
     """
     if source.side == target.side == 1:
         return plan
@@ -106,19 +97,9 @@ def drawn(
     the pixel at its own place in the drawn block. The draws of a column are treated in the same
     way, with both images swapped.
 
-    Parameters
-    ----------
-    draws : Draws
-        Draws from a plan between `source.coarse` and `target.coarse`, or some of their blocks.
-    source, target : PixelBlocks
-    points : pair of integer arrays, optional
-        The blocks of source and target between which the plan is; all if missing.
-
-    Returns
-    -------
-    Plan
-        The plan between pixels. Its marginals are those of the blocks, divided among the pixels by
-        mass.
+    draws: draws from a plan between `source.coarse` and `target.coarse`, or some of their blocks;
+    points: the blocks of source and target between which the plan is; all if missing; Result: the
+    plan between pixels. Its marginals are those of the blocks, divided among the pixels by mass.
     """
     by_row, by_column = draws.masses()
     sizes = len(source.coarse), len(target.coarse)

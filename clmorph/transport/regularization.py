@@ -16,16 +16,9 @@ from clmorph.transport.options import LENGTH, Reach, SolverOptions
 class Regularization(NamedTuple):
     """Checked entropic regularization and marginal penalty.
 
-    Attributes
-    ----------
-    blur : float
-        Length, in the unit of the points.
-    reach : float, None, or a pair of them
-        Length, in the unit of the points; a pair only if its halves differ.
-    epsilon : float
-        blur^2, cost units.
-    rho : (rho_source, rho_target)
-        reach^2, cost units; infinite where balanced.
+    blur: length, in the unit of the points; reach: length, in the unit of the points; a pair only
+    if its halves differ; epsilon: blur^2, cost units; rho: (rho_source, rho_target), reach^2, cost
+    units; infinite where balanced.
     """
 
     blur: float

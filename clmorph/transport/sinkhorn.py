@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from clmorph._shared.validation import (
     check_flag,
     check_progress,
 )
+from clmorph.backends.interface import Operations
 from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.records import LastPasses
 from clmorph.backends.select import Backend, get_backend
@@ -23,11 +25,11 @@ from clmorph.transport._solver.checks import (
     check_problem,
     check_solver_options,
     choose_truncation,
+    is_large,
 )
 from clmorph.transport._solver.iteration import SHORT, Iteration
 from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport._solver.state import Outcome, measured
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import (
@@ -153,19 +155,20 @@ def sinkhorn(
     pair = as_pair(source, target)
     operations = for_one_solve(get_backend(backend))
     check_problem(*pair, given, operations, precision, tol)
-    many = len(pair[0]) * len(pair[1]) >= MANY_PAIRS
-    limit = choose_truncation(truncation, tol, many)
     g = None
     if start is not None:
         g = check_potentials("start", start, (len(pair[0]), len(pair[1]))).g
-    problem = Problem.between(operations, *pair, given.rho, None if method == "geomloss" else limit)
     if method == "geomloss":
+        choose_truncation(truncation, tol, False)  # it is checked, and not used
+        problem = Problem.between(operations, *pair, given.rho)
         found = _geomloss(problem, given, scaling, tol, precision, report)
     else:
-        options = given, tol, max_iter, precision, report
         found = _warned(
-            solve(problem, pair, *options, g=g, multiscale=multiscale, verify=verify, keep=True)
-        )
+            solve(
+                operations, pair, given, tol, max_iter, precision, report,
+                truncation=truncation, g=g, multiscale=multiscale, verify=verify, keep=True,
+            )
+        )  # fmt: skip
     # Points of a cost with a metric for each source pixel have no coordinates of their own.
     foreign = isinstance(source, Measure) and source.has_metric_map
     return found if foreign else replace(found, measures=pair)
@@ -178,13 +181,16 @@ def _warned(potentials: Potentials) -> Potentials:
 
 
 def solve(
-    problem: Problem,
+    operations: Operations,
     pair: tuple[AnyMeasure, AnyMeasure],
     given: Regularization,
     tol: float,
     max_iter: int,
     precision: str,
     report: Progress,
+    *,
+    truncation: Any = "auto",
+    clouds: tuple[Any, Any] | None = None,
     g: Array | None = None,
     multiscale: bool | str = "auto",
     verify: bool = False,
@@ -196,25 +202,14 @@ def solve(
     The problem of a measure with itself has equal potentials, unless it is solved through coarser
     problems or from given potentials.
 
-    Parameters
-    ----------
-    problem : Problem
-    pair : (source, target)
-        Its measures.
-    given : Regularization
-    g : (M,) array, optional
-        Potentials at which the iteration begins.
-    tol, max_iter, precision, report, multiscale, verify
-        Checked arguments of `sinkhorn`.
-    keep : bool
-        Whether the result keeps the near pairs, if the problem has such.
-    exact : bool
-        As in `Iteration`; a problem that is solved through coarser problems never is.
+    pair: (source, target), its measures; g: (M,), potentials at which the iteration begins; keep:
+    whether the result keeps the near pairs, if the problem has such.
     """
-    limit = problem.truncation
+    limit = choose_truncation(truncation, tol, is_large(pair))
+    problem = Problem.between(operations, *pair, given.rho, limit, clouds)
     options = given.blur, tol, max_iter, precision, report
     ended: Outcome | Multiscale
-    many = len(problem.a) * len(problem.b) >= MANY_PAIRS and max_iter >= SHORT
+    many = is_large(pair) and max_iter >= SHORT
     if g is None and multiscale is not True and is_symmetric(pair, given.rho):
         ended = solve_symmetric(problem, *options).alone()
     elif many if multiscale == "auto" else multiscale:
@@ -237,8 +232,9 @@ def _passes(ended: Outcome | Multiscale) -> LastPasses | None:
     if near[0] is None or near[1] is None:
         return None
     return LastPasses(
-        problem.operations, (state.f, state.g), (state.t_rows, state.t_columns), (near[0], near[1])
-    )
+        problem.operations, (state.f, state.g), (state.t_rows, state.t_columns),
+        (near[0], near[1]), (problem.rows, problem.columns),
+    )  # fmt: skip
 
 
 def _take_all_pairs(ended: Outcome | Multiscale, epsilon: float) -> None:
@@ -298,16 +294,8 @@ def outcome(
 ) -> str:
     """Return one line that reports how a solve ended and, if it did not converge, a remedy.
 
-    Parameters
-    ----------
-    status : {"converged", "max_iter", "precision"}
-    n_iter : int
-    residual, tol : float
-        Units of epsilon.
-    rounding : float
-        Largest residual that rounding alone can cause, in units of epsilon.
-    precision : str
-        Option of the solver.
+    status: {"converged", "max_iter", "precision"}; residual, tol: units of epsilon; rounding:
+    largest residual that rounding alone can cause, in units of epsilon.
     """
     reached = f"residual {residual:.1e} epsilon"
     missed = f"not converged after {n_iter} iterations: {reached}, wanted {tol:.1e}"

@@ -21,14 +21,12 @@ from clmorph.transport._solver.batch import NotFiniteError, problem_of_many
 from clmorph.transport._solver.checks import (
     check_problem,
     check_solver_options,
-    choose_truncation,
+    is_large,
 )
 from clmorph.transport._solver.iteration import Iteration
-from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import MANY_PAIRS, overflow
+from clmorph.transport._solver.softmin import overflow
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import AlgorithmOptions, Precision, Reach, SolverOptions
-from clmorph.transport.potentials import Potentials
 from clmorph.transport.potentials_batch import Part, PotentialsBatch, Single, Solved
 from clmorph.transport.regularization import Regularization, regularization
 from clmorph.transport.sinkhorn import solve, warn_unless_converged
@@ -138,12 +136,7 @@ def problem_name(number: int) -> str:
 def what_missed(found: PotentialsBatch, name: Callable[[int], str]) -> str:
     """Return how many solves did not converge, and how the first of them ended.
 
-    Parameters
-    ----------
-    found : PotentialsBatch
-        Not all converged.
-    name : callable
-        A function that returns the name of a problem.
+    found: not all converged; name: a function that returns the name of a problem.
     """
     missed = [number for number, each in enumerate(found.statuses) if each != "converged"]
     first = missed[0]
@@ -154,17 +147,7 @@ def what_missed(found: PotentialsBatch, name: Callable[[int], str]) -> str:
 
 
 def checked_pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasure, AnyMeasure]]:
-    """Return the checked measures of every problem.
-
-    Parameters
-    ----------
-    sources, targets : lists of what `as_many` returns
-
-    Raises
-    ------
-    InputError
-        If they are not as many, or a pair cannot be used.
-    """
+    """Return the checked measures of every problem."""
     if len(sources) != len(targets):
         raise InputError(
             f"there are {len(sources)} sources and {len(targets)} targets: expected as many, one "
@@ -197,17 +180,8 @@ def solve_many(
 ) -> PotentialsBatch:
     """Solve the problems of checked pairs of measures, without a warning.
 
-    Parameters
-    ----------
-    pairs : sequence of (source, target)
-    given : Regularization
-    tol, max_iter, precision, report
-        Checked arguments of `sinkhorn_batch`.
-    operations : Operations
-    name : callable
-        A function that returns the name of a problem for error messages.
-    exact : bool
-        As in `solve`.
+    pairs: sequence of (source, target); name: a function that returns the name of a problem for
+    error messages.
     """
     for number, pair in enumerate(pairs):
         try:
@@ -229,8 +203,8 @@ def solve_many(
 
         options = tol, max_iter, precision, share
         try:
-            if _is_large(own[0]):
-                return Single(numbers[0], _solve_large(own[0], device, given, *options, exact))
+            if _is_single(own[0]):
+                return Single(numbers[0], solve(device, own[0], given, *options, exact=exact))
             problem = problem_of_many(device, own, given.rho)
             if is_symmetric(own[0], given.rho):
                 return Solved(
@@ -254,27 +228,9 @@ def solve_many(
     return PotentialsBatch(parts, len(pairs))
 
 
-def _is_large(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
+def _is_single(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
     """Return whether a problem is solved by itself."""
-    sizes = [len(measure) for measure in pair]
-    return sizes[0] * sizes[1] >= MANY_PAIRS or max(sizes) > MAX_BATCH
-
-
-def _solve_large(
-    pair: tuple[AnyMeasure, AnyMeasure],
-    operations: Operations,
-    given: Regularization,
-    tol: float,
-    max_iter: int,
-    precision: str,
-    report: Progress,
-    exact: bool,
-) -> Potentials:
-    """Solve a problem by itself."""
-    limit = choose_truncation("auto", tol, len(pair[0]) * len(pair[1]) >= MANY_PAIRS)
-    problem = Problem.between(operations, *pair, given.rho, limit)
-    options = given, tol, max_iter, precision, report
-    return solve(problem, pair, *options, exact=exact)
+    return is_large(pair) or max(len(measure) for measure in pair) > MAX_BATCH
 
 
 def together(
@@ -284,17 +240,14 @@ def together(
 
     All of a list are in one dimension, and all or none are of a measure with itself.
 
-    Parameters
-    ----------
-    pairs : sequence of (source, target)
-    rho : (rho_source, rho_target)
+    pairs: sequence of (source, target); rho: (rho_source, rho_target).
     """
     lists: list[list[int]] = []
     #: The list of each kind that is not full, and its numbers of points.
     open_lists: dict[tuple[int, bool], tuple[list[int], list[int]]] = {}
     for number, pair in enumerate(pairs):
         sizes = [len(measure) for measure in pair]
-        if _is_large(pair):
+        if _is_single(pair):
             lists.append([number])
             continue
         kind = pair[0].points.shape[1], is_symmetric(pair, rho)

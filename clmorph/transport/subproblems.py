@@ -20,9 +20,7 @@ from clmorph.images.label_maps import MAX_LABELS, label_text
 from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.measures.points import as_pair
-from clmorph.transport._solver.checks import MASS_TOLERANCE, check_problem, choose_truncation
-from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import MANY_PAIRS
+from clmorph.transport._solver.checks import MASS_TOLERANCE, check_problem
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.plan import Plan
@@ -35,15 +33,9 @@ from clmorph.transport.sinkhorn import solve
 class Subproblem:
     """A transport problem between blocks of pixels of two images: that of one label, or of all.
 
-    Attributes
-    ----------
-    source, target : PixelBlocks
-        The pixels, of which those of other labels have no mass, in blocks.
-    label : int or None
-        None stands for all pixels.
-    points : (IntArray, IntArray) or None
-        Blocks of the source and of the target that have mass, between which the problem is solved;
-        None stands for all blocks.
+    source, target: the pixels, of which those of other labels have no mass, in blocks; label: none
+    stands for all pixels; points: (IntArray, IntArray) or None, blocks of the source and of the
+    target that have mass, between which the problem is solved; None stands for all blocks.
     """
 
     source: PixelBlocks
@@ -146,27 +138,9 @@ def by_label(
     A block of pixels of several labels becomes a point of each of them, with the mass and the mean
     of the pixels of that label, so that labels stay apart exactly whatever the size of the blocks.
 
-    Parameters
-    ----------
-    source, target : Measure
-        Lifted images.
-    labels : pair of integer arrays
-        The labels of their pixels, (H, W) each.
-    solve_size : int or None
-        See `clmorph.measures.pixel_blocks.group_pixels`.
-    given : Regularization
-
-    Returns
-    -------
-    list of Subproblem
-        In ascending order of labels. Labels that only one image has mass of are left out: their
-        mass does not move.
-
-    Raises
-    ------
-    InputError
-        If there are too many labels, no label has mass in both images, or the masses of a label
-        are such that a balanced side is impossible.
+    source, target: lifted images; labels: the labels of their pixels, (H, W) each; Result: in
+    ascending order of labels. Labels that only one image has mass of are left out: their mass does
+    not move.
     """
     names, sizes = zip(
         *(_masses(measure, each) for measure, each in zip((source, target), labels, strict=True)),
@@ -239,38 +213,21 @@ def solve_parts(
 ) -> tuple[list[Potentials], Potentials]:
     """Solve the problems of labels one after another.
 
-    Parameters
-    ----------
-    parts : sequence of Subproblem
-    masses : (float, float)
-        Masses of both images, of labels without a partner as well.
-    given : Regularization
-    tol, max_iter : float, int
-        See `clmorph.sinkhorn`.
-    operations : Operations
-    report : callable
-        Called with the share of the work that is done.
-
-    Returns
-    -------
-    list of Potentials
-        Those of each part.
-    Potentials
-        All of them together, part after part, with the certificate of the problem whose cost
-        between different labels is infinite.
+    masses: (float, float), masses of both images, of labels without a partner as well; report:
+    called with the share of the work that is done; Result: those of each part; Result: all of them
+    together, part after part, with the certificate of the problem whose cost between different
+    labels is infinite.
     """
     found: list[Potentials] = []
     total, done = sum(part.pairs for part in parts), 0
     for part in parts:
         pair = as_pair(*part.measures)
         check_problem(*pair, given, operations, "auto", tol)
-        limit = choose_truncation("auto", tol, part.pairs >= MANY_PAIRS)
-        problem = Problem.between(operations, *pair, given.rho, limit)
 
         def share(own: float, before: int = done, pairs: int = part.pairs) -> None:
             report((before + own * pairs) / total)
 
-        found.append(solve(problem, pair, given, tol, max_iter, "auto", share))
+        found.append(solve(operations, pair, given, tol, max_iter, "auto", share))
         done += part.pairs
     return found, _together(parts, found, masses, given)
 

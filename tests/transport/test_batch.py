@@ -10,6 +10,7 @@ from clmorph import ConvergenceWarning, InputError
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.transport import certificate, sinkhorn_batch
+from clmorph.transport._solver import checks
 from clmorph.transport._solver.problem import Problem
 
 REFERENCE = NumPyOperations()
@@ -190,7 +191,7 @@ def test_a_part_at_a_time_gives_the_same(monkeypatch, rng):
 
 def test_many_pairs_are_solved_alone(monkeypatch, rng):
     pairs = random_pairs(rng, 3, (30, 40))
-    monkeypatch.setattr(sinkhorn_batch, "MANY_PAIRS", 900)
+    monkeypatch.setattr(checks, "MANY_PAIRS", 900)
     found = solve(pairs, 0.1, 0.3, backend="numpy")
     for pair, ours in zip(pairs, found, strict=True):
         alone = clmorph.sinkhorn(*pair, 0.1, 0.3, truncation=1e-4, backend="numpy")
@@ -243,7 +244,7 @@ def test_the_number_of_launches_is_that_of_the_slowest(device, rng, monkeypatch)
 def test_potentials_are_made_when_they_are_asked_for(monkeypatch, rng):
     calls, certify = [], certificate.certify
     monkeypatch.setattr(
-        "clmorph.transport._solver.problem.certify",
+        "clmorph.transport._solver.batch.certify",
         lambda *given: (calls.append(1), certify(*given))[1],
     )
     found = solve(random_pairs(rng, 6), 0.1, 0.3, backend="numpy")

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 import clmorph
 from clmorph import InputError
 from clmorph.images.label_maps import reduced_labels
+from clmorph.transport._solver import checks
 from clmorph.transport.regularization import regularization
 
 
@@ -241,7 +242,7 @@ def test_a_label_of_all_pixels_changes_nothing(rng):
         assert_allclose(morph.potentials.dual, alone.potentials.dual, rtol=1e-12)
 
 
-def test_large_labels_go_through_coarser_problems(rng):
+def test_large_labels_go_through_coarser_problems(monkeypatch, rng):
     """The problem of each label is solved as `clmorph.sinkhorn` solves one."""
     from clmorph.transport import subproblems as module
 
@@ -250,14 +251,12 @@ def test_large_labels_go_through_coarser_problems(rng):
     source, target = plain.lift(a), plain.lift(b)
     found = module.by_label(source, target, labels, None, given)
     assert [part.label for part in found] == [0, 5]
-    limit, module.MANY_PAIRS = module.MANY_PAIRS, 1
-    try:
+    with monkeypatch.context() as changed:
+        changed.setattr(checks, "MANY_PAIRS", 1)
         solved, whole = module.solve_parts(
             found, (source.mass, target.mass), given, 1e-3, 2000, clmorph.get_backend("numpy"),
             lambda share: None,
         )  # fmt: skip
-    finally:
-        module.MANY_PAIRS = limit
     assert whole.truncation is not None
     for part, potentials in zip(found, solved, strict=True):
         alone = clmorph.sinkhorn(*part.measures, 0.05, 0.3, backend="numpy")

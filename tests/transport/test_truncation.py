@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from plain import sinkhorn
 
 import clmorph
+from clmorph.pipeline.pair_count import predict_pairs
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import LEAST_RESERVE, Softmin
 from clmorph.transport.regularization import regularization
@@ -215,8 +216,8 @@ def test_divergences_of_many_points_are_truncated_and_stay_bounded(device, monke
     pair = pair_of("picture", rng, 500, 600)
     want = plain.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
     assert want.cross.truncation is want.source_self.truncation is None
-    for module in ("sinkhorn", "divergence", "_solver.multiscale"):
-        monkeypatch.setattr(f"clmorph.transport.{module}.MANY_PAIRS", 0)
+    for module in ("checks", "multiscale"):
+        monkeypatch.setattr(f"clmorph.transport._solver.{module}.MANY_PAIRS", 0)
     got = plain.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
     for part in (got.cross, got.source_self, got.target_self):
         assert part.truncation == pytest.approx(1e-5)
@@ -265,3 +266,24 @@ def test_a_plan_takes_over_the_pairs_of_the_solve(device, monkeypatch, rng):
     assert len(chosen) == 12
     with pytest.raises(clmorph.InputError, match="other measures"):
         clmorph.sample_plan(pair[0], (pair[1][0], pair[1][1] + 0.1), kept, 4, backend=device)
+
+
+def test_clouds_of_a_large_solve_are_uploaded_once(device, monkeypatch, rng):
+    """The number of pairs and the plan take those of the solve; other measures have their own."""
+    pair, backend = pair_of("picture", rng, 500, 600), clmorph.get_backend(device)
+    uploaded, upload = [], backend.upload
+    monkeypatch.setattr(
+        backend, "upload", lambda *cloud: (uploaded.append(len(cloud[0])), upload(*cloud))[1]
+    )
+    found = clmorph.sinkhorn(*pair, 0.05, 0.3, truncation=1e-4, backend=backend)
+    count = predict_pairs(*pair, found, rows=10, backend=backend)
+    plan = clmorph.transport_plan(*pair, found, backend=backend)
+    assert uploaded == [500, 600, 10, 10]
+    assert count > 0
+    copies = [(weights, points.copy()) for weights, points in pair]
+    again = clmorph.transport_plan(*copies, found, backend=backend)
+    assert np.array_equal(again.mass, plan.mass)
+    assert len(uploaded) == 4  # equal points are the same measures
+    alone = clmorph.transport_plan(*pair, replace(found, passes=None), backend=backend)
+    assert uploaded[4:] == [500, 600]
+    assert np.allclose(alone.mass.sum(), plan.mass.sum(), rtol=1e-3)

@@ -23,13 +23,7 @@ TINY = float(np.finfo(float).tiny)
 
 
 class TrustRegion:
-    """How far extrapolations may go: for each problem a radius in steps of the plain iteration.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        As in `Reductions`.
-    """
+    """How far extrapolations may go: for each problem a radius in steps of the plain iteration."""
 
     def __init__(self, shape: tuple[int, ...] = ()) -> None:
         self.radius: Any = np.full(shape, TRUST_RADIUS)
@@ -57,10 +51,6 @@ class Anderson:
 
     With the reductions `Segments` it accelerates many problems, each with a memory and a trust
     region of its own. Truth values then are arrays, one for each problem.
-
-    Parameters
-    ----------
-    of : Reductions
     """
 
     def __init__(self, of: Reductions = WHOLE) -> None:
@@ -98,12 +88,8 @@ class Anderson:
     def take(self, problems: IntArray, points: Any, of: Reductions) -> None:
         """Go on with some of the problems.
 
-        Parameters
-        ----------
-        problems, points : arrays of int
-            Indices of the problems, and of their points.
-        of : Reductions
-            Those over these problems.
+        problems, points: indices of the problems, and of their points; of: those over these
+        problems.
         """
         self._of = of
         self._region.take(problems)
@@ -124,20 +110,10 @@ class Anderson:
     ) -> tuple[Array, Any]:
         """Store the iterate x with its image G(x), and return the next iterate.
 
-        Parameters
-        ----------
-        x, image : (n,) arrays
-        weights : (n,) array
-            Weights of the inner product; only those of a problem's first iterate are used.
-        which : bool
-            The problems whose iterates these are; others begin anew with their next iterate.
-
-        Returns
-        -------
-        (n,) array
-            The next iterate.
-        bool
-            Whether it was extrapolated, for which two iterates must be stored; else it is `image`.
+        x, image: (n,); weights: (n,), weights of the inner product; only those of a problem's first
+        iterate are used; which: the problems whose iterates these are; others begin anew with their
+        next iterate; Result: (n,), the next iterate; Result: whether it was extrapolated, for which
+        two iterates must be stored; else it is `image`.
         """
         of, residual = self._of, image - x
         begun, which = self._begun, np.broadcast_to(which, of.shape)
@@ -198,25 +174,10 @@ def limited_step(
 ) -> tuple[Any, Any, Any]:
     """Return the step from an image, and the factor that keeps it in the trust region.
 
-    Parameters
-    ----------
-    of : Reductions
-    residual : (n,) array
-        The image less its iterate.
-    correction : (n,) array
-        The stored differences, combined by their coefficients.
-    weights : (n,) array
-        Weights of the inner product.
-    radius : float
-        Radius of the trust region, in steps of the plain iteration.
-
-    Returns
-    -------
-    step : (n,) array
-    factor : float
-        At most 1.
-    cut : bool
-        Whether it is less than 1.
+    residual: (n,), the image less its iterate; correction: (n,), the stored differences, combined
+    by their coefficients; weights: (n,), weights of the inner product; radius: radius of the trust
+    region, in steps of the plain iteration; step: (n,); factor: at most 1; cut: whether it is less
+    than 1.
     """
     step = (MIXING - 1) * residual - correction
     longest = radius * _norm(of, residual, weights)

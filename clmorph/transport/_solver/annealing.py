@@ -38,15 +38,9 @@ LEVEL_TRUNCATION, LEVEL_RESERVE, FAR_RESERVE = 1e-2, 1e-10, 1e-20
 class _Level(NamedTuple):
     """A larger blur, and the clusters of the points of the next finer level.
 
-    Attributes
-    ----------
-    blur : float
-    pair : (source, target)
-        Measures of the clusters.
-    clusters : (source, target) or None
-        The clusters of the finer level's points; None if each point is its own.
-    points : (source, target)
-        Measures of the finer level.
+    pair: (source, target), measures of the clusters; clusters: (source, target) or None, the
+    clusters of the finer level's points; None if each point is its own; points: (source, target),
+    measures of the finer level.
     """
 
     blur: float
@@ -73,22 +67,10 @@ def anneal(
 ) -> Array:
     """Return initial potentials g of a problem, from larger blurs over larger clusters.
 
-    Parameters
-    ----------
-    problem : Problem
-        The problem of the points.
-    pair : (source, target)
-        Measures of the finest problem: the points, or clusters of them.
-    finest : Problem
-        The problem of `pair`; its softmins receive first guesses.
-    blur : float
-        Blur of the finest problem.
-    max_iter : int
-        Largest number of iterations at each level.
-
-    Returns
-    -------
-    (M,) array
+    problem: the problem of the points; pair: (source, target), measures of the finest problem: the
+    points, or clusters of them; finest: the problem of `pair`; its softmins receive first guesses;
+    blur: blur of the finest problem; max_iter: largest number of iterations at each level; Result:
+    (M,).
     """
     top = TOP * np.sqrt(2 * problem.largest_cost)
     levels: list[_Level] = []

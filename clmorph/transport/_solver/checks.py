@@ -9,6 +9,7 @@ from clmorph.backends.interface import MAX_SPREAD, Operations
 from clmorph.errors import DeviceError, InputError
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import largest_cost
+from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport.options import AlgorithmOptions, SolverOptions
 from clmorph.transport.regularization import Regularization
 
@@ -26,17 +27,7 @@ def check_solver_options(
     precision: Any = AlgorithmOptions.precision,
     multiscale: Any = "auto",
 ) -> tuple[float, int, float]:
-    """Check options of `sinkhorn` without solving the problem.
-
-    Returns
-    -------
-    tol, max_iter, scaling : float, int, float
-
-    Raises
-    ------
-    InputError
-        If an option is invalid.
-    """
+    """Check options of `sinkhorn` without solving the problem."""
     AlgorithmOptions.checked("method", method)
     AlgorithmOptions.checked("precision", precision)
     if not isinstance(multiscale, bool | np.bool_):
@@ -46,6 +37,11 @@ def check_solver_options(
         SolverOptions.checked("max_iter", max_iter),
         AlgorithmOptions.checked("scaling", scaling),
     )
+
+
+def is_large(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
+    """Return whether a problem is solved through coarser ones, with truncated sums."""
+    return len(pair[0]) * len(pair[1]) >= MANY_PAIRS
 
 
 def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
@@ -71,13 +67,7 @@ def check_problem(
     precision: str,
     tol: float = np.inf,
 ) -> None:
-    """Check that a problem has a solution, and that a backend can compute it to a residual `tol`.
-
-    Raises
-    ------
-    InputError, DeviceError
-        If the problem has no solution, or the backend cannot compute it.
-    """
+    """Check that a problem has a solution, which a backend can compute to a residual `tol`."""
     balanced = all(np.isinf(rho) for rho in given.rho)
     differ = abs(source.mass - target.mass) / source.mass if balanced else 0.0
     # No residual is smaller than the difference.

@@ -54,16 +54,9 @@ class CorrectedProblem(Problem):
     Brandt, "Multi-level adaptive solutions to boundary-value problems" (1977).
     """
 
-    def __init__(
-        self,
-        to_rows: Softmin,
-        to_columns: Softmin,
-        weights: tuple[Array, Array],
-        rho: tuple[float, float],
-        largest_cost: float,
-    ) -> None:
-        super().__init__(to_rows, to_columns, weights, rho, largest_cost)
-        self._own = weights
+    def __init__(self, *arguments: Any, **more: Any) -> None:
+        super().__init__(*arguments, **more)
+        self._own = self.a, self.b
         self._corrections: tuple[Array | float, Array | float] = (0.0, 0.0)
 
     def start_iteration(self) -> ResidentIteration | None:
@@ -123,10 +116,7 @@ class Restriction(Protocol):
 class Reordering:
     """The restriction to a coarse problem that has the same points in another order.
 
-    Parameters
-    ----------
-    order : (N,) array of int
-        The point that stands at each place of the coarse problem.
+    order: (N,), the point that stands at each place of the coarse problem.
     """
 
     def __init__(self, order: IntArray) -> None:
@@ -154,12 +144,8 @@ class CoarseGrid(NamedTuple):
     def prolong(self, new_f: Array, old_f: Array, epsilon: float) -> Array:
         """Return the change of T(f) at the points of the target: (M,) array.
 
-        Parameters
-        ----------
-        new_f, old_f : arrays
-            Potentials of the coarse problem after and before its solve, cost units.
-        epsilon : float
-            Cost units.
+        new_f, old_f: potentials of the coarse problem after and before its solve, cost units;
+        epsilon: cost units.
         """
         change: Array = self.to_target(new_f, epsilon) - self.to_target(old_f, epsilon)
         return self.target.points_of(change) if isinstance(self.target, Reordering) else change
@@ -170,24 +156,12 @@ def expanded(
 ) -> Array:
     """Estimate T(potential) at points from its value and gradient at the centers of their clusters.
 
-    The gradient of T at a center X is X less the mean destination of its row. As
-    |x|^2 / 2 - T(x) is convex, the result is not below T, but for rounding: sums are not
-    overestimated, and near pairs that are chosen by the result leave out no more than they may.
+    The gradient of T at a center X is X less the mean destination of its row. As |x|^2 / 2 - T(x)
+    is convex, the result is not below T, but for rounding: sums are not overestimated, and near
+    pairs that are chosen by the result leave out no more than they may.
 
-    Parameters
-    ----------
-    softmin : Softmin
-        T, with the clusters as its rows.
-    potential : array, cost units
-    epsilon : float, cost units
-    clusters : Clusters
-        Clusters of the points.
-    measure : Measure or WeightedPoints
-        The points.
-
-    Returns
-    -------
-    (N,) array, cost units
+    softmin: T, with the clusters as its rows; potential: array, cost units; epsilon: float, cost
+    units; clusters: clusters of the points; measure: the points.
     """
     values, means = softmin.operations.barycentric_projection(
         softmin.rows, softmin.columns, potential, epsilon, False, softmin.near
@@ -204,22 +178,12 @@ def expanded(
 class StoredSoftmin(Softmin):
     """The soft minimum over stored pairs, whose vectors have the order of `StoredPairs.orders`.
 
-    Parameters
-    ----------
-    like : Softmin
-        The softmin over all pairs, which has the clouds.
-    stored : StoredPairs
-        Pairs of the plan of two potentials.
-    by_column : bool
-        Whether it sums over the plan's rows.
-    weights : (N,), (M,)
-        Masses of the rows and of the columns.
-    potential, softmin : arrays
-        Potential of the columns for which the pairs were stored, and its softmin. Rows without a
-        stored pair keep this softmin.
-    start : (N,) array
-        Potential of the rows for which the pairs were stored, plus epsilon times the logarithms
-        of the masses of the rows.
+    like: the softmin over all pairs, which has the clouds; stored: pairs of the plan of two
+    potentials; by_column: whether it sums over the plan's rows; weights: (N,), (M,), masses of the
+    rows and of the columns; potential, softmin: potential of the columns for which the pairs were
+    stored, and its softmin. Rows without a stored pair keep this softmin; start: (N,), potential of
+    the rows for which the pairs were stored, plus epsilon times the logarithms of the masses of the
+    rows.
     """
 
     def __init__(
@@ -254,21 +218,14 @@ class StoredSoftmin(Softmin):
     def vectors(self, masses: Array, correction: Array | float, origin: Array) -> StoredVectors:
         """Return what an iteration on the device has of the rows.
 
-        Parameters
-        ----------
-        masses : (N,) array
-            The rows' masses.
-        correction : (N,) array or float
-            The correction of this softmin.
-        origin : (N,) array
-            The rows' potential for which the pairs were stored.
+        masses: (N,), the rows' masses; correction: (N,) or float, the correction of this softmin;
+        origin: (N,), the rows' potential for which the pairs were stored.
         """
         return StoredVectors(masses, self._start + correction, self._softmin + correction, origin)
 
     def rounding(
         self,
-        n_columns: int,
-        largest_cost: float,
+        largest_cost: Any,
         epsilon: float,
         precise: bool,
         exact: bool = False,
@@ -280,18 +237,9 @@ class StoredSoftmin(Softmin):
 class StoredProblem(CorrectedProblem):
     """A problem over stored pairs; it holds near the potentials for which they were stored.
 
-    Parameters
-    ----------
-    like : Problem
-        The problem over all pairs.
-    softmins : (to_rows, to_columns)
-        The operators over the stored pairs, with their masses.
-    choice : StoredChoice
-        The choice of these pairs.
-    plan_mass : float
-        The mass of the plan for which the pairs were stored.
-    epsilon : float
-        Cost units.
+    like: the problem over all pairs; softmins: (to_rows, to_columns), the operators over the stored
+    pairs, with their masses; choice: the choice of these pairs; plan_mass: the mass of the plan for
+    which the pairs were stored; epsilon: cost units.
     """
 
     center: Array
@@ -366,18 +314,8 @@ def stored_grid(
 ) -> CoarseGrid | None:
     """Return the problem over the pairs of notable mass near (f, g); None if they are too many.
 
-    Parameters
-    ----------
-    problem : Problem
-    f, g : (N,) and (M,) arrays
-    softmins : (T(g), T(f))
-        Cost units, as f and g.
-    epsilon : float
-        Cost units.
-    most : int
-        Largest number of pairs to store.
-    choices : iterable of StoredChoice
-        The first one that has few enough pairs is taken.
+    f, g: (N,) and (M,); softmins: (T(g), T(f)), cost units, as f and g; epsilon: cost units; most:
+    largest number of pairs to store; choices: the first one that has few enough pairs is taken.
     """
     near = problem.to_rows.near, problem.to_columns.near
     for choice in choices:

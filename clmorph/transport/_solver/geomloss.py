@@ -16,11 +16,7 @@ from clmorph.transport._solver.problem import Problem
 def blurs(diameter: float, blur: float, scaling: float) -> list[float]:
     """Return the schedule: the diameter twice, then blurs that fall by `scaling`, then `blur`.
 
-    Parameters
-    ----------
-    diameter : float
-        Diameter of the joint bounding box.
-    blur, scaling : float
+    diameter: diameter of the joint bounding box.
     """
     if diameter <= 0.0:
         return [blur, blur]

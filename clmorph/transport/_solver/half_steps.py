@@ -40,14 +40,7 @@ class ColumnStep(NamedTuple):
 def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any, enough: Any = 0.0) -> RowStep:
     """Maximize the dual over f and a shift of g, given T(g) (paper, 3.1).
 
-    Parameters
-    ----------
-    problem : Problem
-    g, softmin : (M,) and (N,) arrays
-        g and T(g).
-    epsilon : float
-    enough : float
-        See `Problem.dual`. If it is not 0, the mass of the plan comes from its closed form, too.
+    g, softmin: (M,) and (N,), g and T(g).
     """
     f, g_shifted, t_rows, log_mass = problem.update_f(g, softmin, epsilon)
     of_rows = problem.of_rows
@@ -61,15 +54,7 @@ def column_step(
 ) -> ColumnStep:
     """Maximize the dual over g and a shift of f, given T(f) (paper, 3.1).
 
-    Parameters
-    ----------
-    problem : Problem
-    before : RowStep
-        The half-step of f.
-    softmin : (M,) array
-        T(f).
-    epsilon, enough
-        As in `row_step`.
+    before: the half-step of f; softmin: (M,), T(f).
     """
     residual = problem.residual(before.f, before.g, before.t_rows, softmin, epsilon)
     image, f, t_columns, log_mass = problem.update_g(before.f, softmin, epsilon, before.log_mass)
@@ -90,10 +75,7 @@ def without_drift(problem: Problem, guess: Any, image: Any, column_mass: Any) ->
     Balanced potentials are unique only up to a constant. Nothing bounds an extrapolation along it,
     and at a large constant float64 loses the other digits.
 
-    Parameters
-    ----------
-    problem : Problem
-    guess, image, column_mass : (M,) arrays
+    guess, image, column_mass: (M,).
     """
     if any(problem.inverse_rho):
         return guess

@@ -91,49 +91,22 @@ class Reached:
 class Iteration:
     """The solve of one problem, or of many, by Sinkhorn's iteration, annealed and extrapolated.
 
-    Parameters
-    ----------
-    problem : Problem
-        One problem, or B problems made by `problem_of_many`; below, B is 1 for one problem.
-    blur : float
-        Blur of the last level.
-    tol : float
-        Residual to reach there, in units of epsilon.
-    max_iter : int
-        Largest number of iterations, those of the annealing included; one iteration takes
-        `softmins`.
-    precision : {"auto", "float32", "float64"}
-    report : callable
-        A function that is called with the share of the work that is done.
-    certify : bool
-        Whether the last softmins are `Problem.bounded_softmins`, which a certificate needs.
-    patience : int
-        Iterations without a new best residual after which the iteration ends, if rounding explains
-        that.
-    exact : bool
-        Whether the levels before the last are solved to `tol`, too, and all with exact sums: where
-        groups of points stand far apart, mass finds its way between them at large blurs alone.
-    steps : callable
-        A function that returns the steps of a problem.
-    softmins : int
-        Softmins of an iteration.
-    n_softmin : int
-        Softmins of iterations before these, which count.
-
-    Attributes
-    ----------
-    f, g, t_rows, t_columns : (N,), (M,), (N,) and (M,) arrays
-        The result: potentials and their softmins.
-    residual : (B,) array
-    roundoffs : (2, B) array
-        The bounds of the rounding of T(g) and T(f), in nats.
-    status : (B,) array of {"converged", "max_iter", "precision"}
-    rounding : (B,) array
-        Largest residual that rounding alone can cause, in units of epsilon.
-    precise : (B,) array of bool
-        Whether float32 exponents were too coarse for `tol`.
-    n_softmin : (B,) array
-        Number of softmins of iterations; those that only measure or certify do not count.
+    problem: one problem, or B problems made by `problem_of_many`; below, B is 1 for one problem;
+    blur: blur of the last level; tol: residual to reach there, in units of epsilon; max_iter:
+    largest number of iterations, those of the annealing included; one iteration takes `softmins`;
+    precision: {"auto", "float32", "float64"}; report: a function that is called with the share of
+    the work that is done; certify: whether the last softmins are `Problem.bounded_softmins`, which
+    a certificate needs; patience: iterations without a new best residual after which the iteration
+    ends, if rounding explains that; exact: whether the levels before the last are solved to `tol`,
+    too, and all with exact sums: where groups of points stand far apart, mass finds its way between
+    them at large blurs alone; steps: a function that returns the steps of a problem; softmins:
+    softmins of an iteration; n_softmin: softmins of iterations before these, which count; f, g,
+    t_rows, t_columns: (N,), (M,), (N,) and (M,), the result: potentials and their softmins;
+    residual: (B,); roundoffs: (2, B), the bounds of the rounding of T(g) and T(f), in nats; status:
+    (B,) of {"converged", "max_iter", "precision"}; rounding: (B,), largest residual that rounding
+    alone can cause, in units of epsilon; precise: (B,), whether float32 exponents were too coarse
+    for `tol`; n_softmin: (B,), number of softmins of iterations; those that only measure or certify
+    do not count.
     """
 
     def __init__(
@@ -418,15 +391,7 @@ class Iteration:
 def may_sum_exactly(problem: Problem, status: Any, precision: str, tol: float, error: Any) -> Any:
     """Return whether sums in float32 have ended a solve, whose tolerance exact sums can reach.
 
-    Parameters
-    ----------
-    problem : Problem
-    status : str, or an array of them
-        As in `Iteration`.
-    precision, tol
-        As in `Iteration`.
-    error : float, or an array of them
-        Bounds of the errors of `bounded_softmins`.
+    error: bounds of the errors of `bounded_softmins`.
     """
     operations = problem.operations
     coarse = operations.sum_roundoff > operations.precise_roundoff and not problem.exact_sums
@@ -437,14 +402,7 @@ def may_sum_exactly(problem: Problem, status: Any, precision: str, tol: float, e
 def annealing(problem: Problem, blur: float, top: float, max_iter: int) -> list[float]:
     """Return the blurs of the annealing, falling, without the last one.
 
-    Parameters
-    ----------
-    problem : Problem
-    blur : float
-        The last blur.
-    top : float
-        The blur below which it begins.
-    max_iter : int
+    blur: the last blur; top: the blur below which it begins.
     """
     slowest = np.prod(problem.damping(blur**2))
     if slowest <= EASY or max_iter < SHORT:

@@ -115,13 +115,7 @@ FINENESSES = (
 class Multiscale:
     """One solve of a large problem, with the attributes of `_solver.iteration.Iteration`.
 
-    Parameters
-    ----------
-    problem : Problem
-    pair : (source, target)
-        The measures of the problem: Measure or WeightedPoints.
-    blur, tol, max_iter, precision, report
-        As in `_solver.iteration.Iteration`; only iterations over the points count.
+    pair: (source, target), the measures of the problem: Measure or WeightedPoints.
     """
 
     state: State
@@ -335,20 +329,9 @@ class Multiscale:
     def _correct(self, grid: CoarseGrid, image: Array) -> tuple[Array, float, bool]:
         """Solve the corrected coarse problem and prolong its change (a two-grid cycle).
 
-        Parameters
-        ----------
-        grid : CoarseGrid
-        image : (M,) array
-            Potentials g after the last iteration over the points.
-
-        Returns
-        -------
-        (M,) array
-            Better potentials g.
-        float
-            The residual that they leave in the coarse problem.
-        bool
-            Whether the coarse solve has ended at the edge of the trust region.
+        image: (M,), potentials g after the last iteration over the points; Result: (M,), better
+        potentials g; Result: the residual that they leave in the coarse problem; Result: whether
+        the coarse solve has ended at the edge of the trust region.
         """
         epsilon, coarse = self._blur**2, grid.problem
         f, g, t_rows, t_columns, residual = self.state

@@ -6,6 +6,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import MAX_EXPONENT, Operations
+from clmorph.backends.records import LastPasses
 from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import largest_cost
@@ -33,28 +34,14 @@ class OfRows(NamedTuple):
 def plan_softmin(
     operations: Operations,
     clouds: tuple[Any, Any],
-    pair: tuple[Any, Any],
+    pair: tuple[AnyMeasure, AnyMeasure],
     potentials: Potentials,
 ) -> OfRows:
-    """Return the softmin T(g) of a plan's rows, with the truncation that the solver used.
-
-    Parameters
-    ----------
-    operations : Operations
-    clouds : (rows, columns)
-    pair : (source, target)
-    potentials : Potentials
-    """
+    """Return the softmin T(g) of a plan's rows, with the truncation that the solver used."""
     weights = pair[0].weights, pair[1].weights
     result = Softmin(operations, *clouds, weights, potentials.truncation)
-    passes = None if potentials.truncation is None else potentials.passes
-    if (
-        passes is not None
-        and passes.operations is operations
-        and passes.potentials[0] is potentials.f
-        and passes.potentials[1] is potentials.g
-        and _are(pair, potentials.measures)
-    ):
+    passes = _passes(operations, pair, potentials)
+    if passes is not None and potentials.truncation is not None:
         known = passes.softmins[0]
         result.take_over(passes.near[0], potentials.g, known, potentials.epsilon)
         return OfRows(result, known)
@@ -62,44 +49,44 @@ def plan_softmin(
     return OfRows(result, None)
 
 
-def _are(pair: tuple[AnyMeasure, AnyMeasure], own: tuple[AnyMeasure, AnyMeasure] | None) -> bool:
-    """Return whether these are the measures for which the potentials were computed."""
-
-    def same(one: Array | None, other: Array | None) -> bool:
-        if one is None or other is None:
-            return one is other
-        return bool(np.array_equal(one, other))
-
-    return own is not None and all(
-        same(one.weights, other.weights)
-        and same(one.points, other.points)
-        and same(one.offsets, other.offsets)
+def _passes(
+    operations: Operations, pair: tuple[AnyMeasure, AnyMeasure], potentials: Potentials
+) -> LastPasses | None:
+    """Return what the solve of these measures has left on this backend, if anything."""
+    passes, own = potentials.passes, potentials.measures
+    if passes is None or own is None or passes.operations is not operations:
+        return None
+    if passes.potentials[0] is not potentials.f or passes.potentials[1] is not potentials.g:
+        return None
+    names = "weights", "points", "offsets"
+    same = all(
+        np.array_equal(getattr(one, name), getattr(other, name))
         for one, other in zip(pair, own, strict=True)
+        for name in names
     )
+    return passes if same else None
+
+
+def clouds_of(
+    operations: Operations, pair: tuple[AnyMeasure, AnyMeasure], potentials: Potentials
+) -> tuple[Any, Any]:
+    """Return both measures in the backend's memory, where a large solve may have left them."""
+    passes = _passes(operations, pair, potentials)
+    if passes is not None:
+        return passes.clouds
+    return uploaded(operations, pair[0]), uploaded(operations, pair[1])
 
 
 def row_softmin(
     source: AnyMeasure, target: AnyMeasure, potentials: Potentials, backend: Backend
 ) -> tuple[Operations, tuple[Any, Any], Softmin, Array]:
-    """Return T(g) of the rows of a plan, and the objects that computed it.
+    """Return a backend, both clouds, the operator T of the rows of a plan, and T(g), (N,).
 
-    Returns
-    -------
-    operations : Operations
-    clouds : (rows, columns)
-        Both measures in the backend's memory.
-    to_rows : Softmin
-    softmin : (N,) array
-        T(g), cost units.
-
-    Raises
-    ------
-    InputError
-        If the potentials are unusable, or belong to other measures.
+    It refuses potentials that are unusable, or belong to other measures.
     """
     check_potentials("potentials", potentials, (len(source), len(target)))
     operations = get_backend(backend)
-    clouds = uploaded(operations, source), uploaded(operations, target)
+    clouds = clouds_of(operations, (source, target), potentials)
     of_rows = plan_softmin(operations, clouds, (source, target), potentials)
     to_rows, softmin = of_rows.operator, of_rows.softmin(potentials)
     _check_rows(source, target, potentials, to_rows, softmin)
@@ -152,24 +139,8 @@ def row_projection(
 
     Where the solver left out most of the pairs, a pass before that one chooses the near ones.
 
-    Parameters
-    ----------
-    operations : Operations
-    clouds : (rows, columns)
-        The measures in the backend's memory.
-    pair : (source, target)
-    potentials : Potentials
-
-    Returns
-    -------
-    softmin : (N,) array
-        T(g), cost units.
-    mean : (N, D) array
-
-    Raises
-    ------
-    InputError
-        As `row_softmin` does.
+    clouds: (rows, columns), the measures in the backend's memory; pair: (source, target); softmin:
+    (N,), T(g), cost units; mean: (N, D).
     """
     check_potentials("potentials", potentials, (len(pair[0]), len(pair[1])))
     to_rows, known = plan_softmin(operations, clouds, pair, potentials)
@@ -194,11 +165,16 @@ def _check_rows(
     softmin: Array,
 ) -> None:
     """Raise an `InputError` if potentials are those of other measures."""
-    rounding = to_rows.rounding(
-        len(target), largest_cost(source.points, target.points), potentials.epsilon,
-        potentials.precise,
-    )  # fmt: skip
+    rounding = rounding_of(to_rows, source, target, potentials)
     check_origin(potentials, row_mass(source.weights, potentials, softmin), rounding)
+
+
+def rounding_of(
+    to_rows: Softmin, source: AnyMeasure, target: AnyMeasure, potentials: Potentials
+) -> float:
+    """Return the largest effect of rounding on the softmin of a plan's rows, in nats."""
+    largest = largest_cost(source.points, target.points)
+    return float(to_rows.rounding(largest, potentials.epsilon, potentials.precise))
 
 
 def row_mass(weights: Array, potentials: Potentials, softmin: Array) -> Array:

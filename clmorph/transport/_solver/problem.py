@@ -41,17 +41,10 @@ class Problem:
     With the reductions `Segments` it is many problems (`_solver.batch`): vectors then hold the
     points of all problems, and where a number is described, an array holds one for each problem.
 
-    Parameters
-    ----------
-    to_rows, to_columns : Softmin
-        The operators that compute T(g) and T(f).
-    weights : (a, b)
-        Masses of both measures.
-    rho : (rho_source, rho_target)
-        Marginal penalties, cost units; infinity is balanced.
-    largest_cost : float
-        An upper bound of the cost.
-    reductions : (Reductions of the rows, Reductions of the columns)
+    to_rows, to_columns: the operators that compute T(g) and T(f); weights: (a, b), masses of both
+    measures; rho: (rho_source, rho_target), marginal penalties, cost units; infinity is balanced;
+    largest_cost: an upper bound of the cost; reductions: (Reductions of the rows, Reductions of the
+    columns).
     """
 
     #: Whether every softmin has the powers and sums of `bounded_softmins`, at three times the time.
@@ -67,6 +60,7 @@ class Problem:
         rho: tuple[float, float],
         largest_cost: Any,
         reductions: tuple[Reductions, Reductions] = (WHOLE, WHOLE),
+        oscillations: tuple[Any, Any] | None = None,
     ) -> None:
         self.to_rows, self.to_columns = to_rows, to_columns
         self.a, self.b = weights
@@ -75,7 +69,7 @@ class Problem:
         self.of_rows, self.of_columns = self.reductions = reductions
         self.rho, self.largest_cost = rho, largest_cost
         #: Bounds of |C_ij - C_kj| over rows i, k, and of |C_ij - C_il| over columns j, l.
-        self.oscillations: tuple[Any, Any] = largest_cost, largest_cost
+        self.oscillations: tuple[Any, Any] = oscillations or (largest_cost, largest_cost)
         #: 1 / rho, 0 if balanced: with it one infinite rho is harmless.
         source, target = (0.0 if np.isinf(value) else 1.0 / value for value in rho)
         self.inverse_rho = source, target
@@ -91,52 +85,40 @@ class Problem:
         target: AnyMeasure,
         rho: tuple[float, float],
         truncation: float | None = None,
+        clouds: tuple[Any, Any] | None = None,
     ) -> Self:
-        """Return the problem of two measures.
-
-        Parameters
-        ----------
-        operations : Operations
-        source, target : Measure or WeightedPoints
-        rho : (rho_source, rho_target)
-        truncation : float, optional
-            See `clmorph.transport._solver.softmin.Softmin`.
-        """
-        rows = columns = operations.upload(source.points, source.weights, source.offsets)
-        if target is not source:
-            columns = operations.upload(target.points, target.weights, target.offsets)
+        """Return the problem of two measures; they are uploaded unless the backend has `clouds`."""
+        if clouds is None:
+            rows = columns = operations.upload(source.points, source.weights, source.offsets)
+            if target is not source:
+                columns = operations.upload(target.points, target.weights, target.offsets)
+        else:
+            rows, columns = clouds
         a, b = source.weights, target.weights
         largest = largest_cost(source.points, target.points)
-        problem = cls(
+        one, other = (
+            largest + (0.0 if side.offsets is None else float(np.ptp(side.offsets)))
+            for side in (source, target)
+        )
+        return cls(
             Softmin(operations, rows, columns, (a, b), truncation),
             Softmin(operations, columns, rows, (b, a), truncation),
-            (a, b), rho, largest,
+            (a, b), rho, largest, oscillations=(one, other),
         )  # fmt: skip
-        offsets = [
-            0.0 if side.offsets is None else float(np.ptp(side.offsets))
-            for side in (source, target)
-        ]
-        problem.oscillations = largest + offsets[0], largest + offsets[1]
-        return problem
 
     def with_truncation(self, truncation: float | None) -> "Problem":
         """Return the problem of the same measures, whose softmins choose near pairs of their own.
 
         It has this problem's clouds, so nothing is uploaded.
-
-        Parameters
-        ----------
-        truncation : float, optional
-            See `clmorph.transport._solver.softmin.Softmin`.
         """
-        rows, columns = self.to_rows, self.to_columns
-        problem = Problem(
-            Softmin(self.operations, rows.rows, rows.columns, rows.weights, truncation),
-            Softmin(self.operations, columns.rows, columns.columns, columns.weights, truncation),
-            rows.weights, self.rho, self.largest_cost,
+        to_rows, to_columns = (
+            Softmin(self.operations, of.rows, of.columns, of.weights, truncation)
+            for of in (self.to_rows, self.to_columns)
+        )
+        return Problem(
+            to_rows, to_columns, to_rows.weights, self.rho, self.largest_cost,
+            oscillations=self.oscillations,
         )  # fmt: skip
-        problem.oscillations = self.oscillations
-        return problem
 
     @property
     def operations(self) -> Operations:
@@ -203,8 +185,8 @@ class Problem:
         """Return the largest effect of rounding on a softmin, in nats."""
         kind = epsilon, precise, self.exact_sums
         return self.of_rows.larger(
-            self.to_rows.rounding(len(self.b), self.largest_cost, *kind),
-            self.to_columns.rounding(len(self.a), self.largest_cost, *kind),
+            self.to_rows.rounding(self.largest_cost, *kind),
+            self.to_columns.rounding(self.largest_cost, *kind),
         )
 
     def update_f(self, g: Array, t_rows: Array, epsilon: float) -> HalfStep:
@@ -222,13 +204,8 @@ class Problem:
     ) -> HalfStep:
         """Maximize the dual over all (f + s, g), given T(f), where g is the half-step of f + s.
 
-        Parameters
-        ----------
-        f, t_columns : (N,) and (M,) arrays
-        epsilon : float
-        log_mass : float, optional
-            The `HalfStep.log_mass` of the `update_f` that f comes from. With it one sum of
-            exponentials is not needed.
+        f, t_columns: (N,) and (M,); log_mass: the `HalfStep.log_mass` of the `update_f` that f
+        comes from. With it one sum of exponentials is not needed.
         """
         return self._half_step(t_columns, 1, f, epsilon, log_mass)
 
@@ -311,16 +288,10 @@ class Problem:
 
         (paper, 2.1; math: dual) Where masses are large, adding the constant would lose digits.
 
-        Parameters
-        ----------
-        f, g : (N,) and (M,) arrays
-        plan_mass : float
-        epsilon : float
-        enough : float
-            The rounding that each penalty may have, in units of epsilon times the plan's mass. If
-            it is not 0, f and g must be those of a `HalfStep`: then <a, exp(-f / rho)> is the mass
-            of the plan, and no exponential is needed where rho is small enough for that rounding,
-            in all problems.
+        f, g: (N,) and (M,); enough: the rounding that each penalty may have, in units of epsilon
+        times the plan's mass. If it is not 0, f and g must be those of a `HalfStep`: then <a,
+        exp(-f / rho)> is the mass of the plan, and no exponential is needed where rho is small
+        enough for that rounding, in all problems.
         """
         value = -epsilon * plan_mass
         for of, potential, weights, inverse, mass in (
@@ -374,14 +345,6 @@ def has_closed_form(
 ) -> Any:
     """Return whether a penalty of the dual has enough digits as a difference of masses.
 
-    Parameters
-    ----------
-    mass, plan_mass : float
-        Of the side, and of the plan.
-    inverse_rho : float
-    epsilon : float
-        Cost units.
-    enough : float
-        See `Problem.dual`.
+    mass, plan_mass: of the side, and of the plan; epsilon: cost units.
     """
     return MASS_ROUNDING * (mass + plan_mass) <= enough * epsilon * plan_mass * inverse_rho

@@ -84,14 +84,15 @@ class Whole:
         """Return the reductions of the problem."""
         return self
 
+    def part(self, x: AnyArray, problem: int) -> AnyArray:
+        """Return the entries of the problem."""
+        return x
+
 
 class Segments:
     """Reductions over vectors that hold the points of many problems, one after the other.
 
-    Parameters
-    ----------
-    counts : (B,) array
-        Number of points of each problem, at least 1.
+    counts: (B,), number of points of each problem, at least 1.
     """
 
     def __init__(self, counts: IntArray) -> None:
@@ -193,10 +194,6 @@ def log_sum_exp(of: Reductions, values: Array) -> Any:
 def largest_size(of: Reductions, values: Array, counted: BoolArray) -> Any:
     """Return the largest absolute value over each problem, of the counted points alone.
 
-    Parameters
-    ----------
-    of : Reductions
-    values : (n,) array
-    counted : (n,) array of bool
+    values: (n,); counted: (n,).
     """
     return of.largest(np.where(counted, np.abs(values), 0.0))

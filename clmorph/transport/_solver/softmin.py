@@ -30,38 +30,19 @@ class Softmin:
     """The operator T: potentials of the columns to soft minima, one a row (paper, section 3.1).
 
     With a truncation, T sums only near pairs (`Operations.near_pairs`). These are chosen for one
-    potential g. At another potential h the share of the other pairs can have grown
-    by at most exp(max(h - g) / epsilon), times the change of the row's own sum. Pairs are chosen
-    anew only where this bound exceeds the truncation.
+    potential g. At another potential h the share of the other pairs can have grown by at most
+    exp(max(h - g) / epsilon), times the change of the row's own sum. Pairs are chosen anew only
+    where this bound exceeds the truncation.
 
-    Parameters
-    ----------
-    operations : Operations
-    rows, columns
-        Clouds that the backend holds.
-    weights : (N,), (M,)
-        Masses of both clouds.
-    truncation : float, optional
-        Nats by which a log-sum-exp may be too small; all pairs are summed if None.
-
-    Attributes
-    ----------
-    truncation : float or None
-    guess : (N,) array or None
-        An estimate of the next softmin; the last softmin unless it is set.
-    left_out : float
-        A proven bound of the nats by which pairs left out can make the logarithms of the sums
-        behind the last softmin too small.
-    roundoff : float
-        A proven bound of the error of these logarithms by rounding, in nats, after a `bounded`
-        softmin; 0 after other softmins, whose rounding is not bounded.
-    near : NearPairs or None
-        The pairs that the last softmin summed; None stands for all pairs.
-    proven : bool
-        Whether the choice of pairs must prove that `left_out` is within the truncation.
-    reserve : float
-        Pairs are chosen for this share of the truncation; with a smaller share they remain valid
-        for longer.
+    rows, columns: clouds that the backend holds; weights: (N,), (M,), masses of both clouds;
+    truncation: nats by which a log-sum-exp may be too small; all pairs are summed if None; guess:
+    (N,) or None, an estimate of the next softmin; the last softmin unless it is set; left_out: A
+    proven bound of the nats by which pairs left out can make the logarithms of the sums behind the
+    last softmin too small; roundoff: a proven bound of the error of these logarithms by rounding,
+    in nats, after a `bounded` softmin; 0 after other softmins, whose rounding is not bounded; near:
+    the pairs that the last softmin summed; None stands for all pairs; proven: whether the choice of
+    pairs must prove that `left_out` is within the truncation; reserve: pairs are chosen for this
+    share of the truncation; with a smaller share they remain valid for longer.
     """
 
     def __init__(
@@ -77,13 +58,15 @@ class Softmin:
         self.weights = weights
         self._massive = weights[1] > 0
         self._pairs = len(weights[0]) * len(weights[1])
+        self.n_columns: Any = len(weights[1])
         self.reserve = RESERVE
         self.proven, self._settled = True, False
         self._near: NearPairs | None = None
         self._chosen_for: tuple[float, Array] = (0.0, np.zeros(0))
         self.guess: Array | None = None
         self.near: NearPairs | None = None
-        self.left_out = self.roundoff = 0.0
+        self.left_out: float = 0.0
+        self.roundoff: Any = 0.0
 
     def __call__(
         self, potential: Array, epsilon: float, precise: bool = False, bounded: bool = False
@@ -92,18 +75,9 @@ class Softmin:
 
         (paper, 3.1)
 
-        Parameters
-        ----------
-        potential : (M,) array, cost units
-        epsilon : float, cost units
-        precise : bool
-            Whether exponents are computed in more than float32.
-        bounded : bool
-            Whether `roundoff`, a bound of all rounding, is computed.
-
-        Returns
-        -------
-        (N,) array, cost units
+        potential: (M,), cost units; epsilon: float, cost units; precise: whether exponents are
+        computed in more than float32; bounded: whether `roundoff`, a bound of all rounding, is
+        computed.
         """
         kind = precise, bounded
         # Pairs left out and rounding together are then within the truncation.
@@ -138,10 +112,7 @@ class Softmin:
     def settle(self, residual: float) -> None:
         """Choose near pairs anew if potentials will hardly move, and the pairs are for far moves.
 
-        Parameters
-        ----------
-        residual : float
-            The residual that was reached, in units of epsilon.
+        residual: the residual that was reached, in units of epsilon.
         """
         far = self._near is not None and self.reserve < SETTLED_RESERVE
         if far and residual <= SETTLED and not self._settled:
@@ -204,22 +175,16 @@ class Softmin:
 
     def rounding(
         self,
-        n_columns: int,
-        largest_cost: float,
+        largest_cost: Any,
         epsilon: float,
         precise: bool,
         exact: bool = False,
-    ) -> float:
+    ) -> Any:
         """Return the largest effect of rounding on a softmin, in nats; see `rounding_error`.
 
-        Parameters
-        ----------
-        n_columns : int
-        largest_cost : float
-            Upper bound of the cost of all pairs.
-        epsilon : float
-        precise, exact : bool
+        largest_cost: upper bound of the cost of all pairs.
         """
+        n_columns = self.n_columns
         if self._near is not None and self._chosen_for[0] == epsilon:
             n_columns = self._near.n_columns
             largest_cost = min(largest_cost, self._near.largest)

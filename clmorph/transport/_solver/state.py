@@ -45,13 +45,7 @@ class Outcome:
 def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
     """Return potentials with their softmins and a residual that includes a bound of its rounding.
 
-    Parameters
-    ----------
-    problem : Problem
-    f, g : (N,) and (M,) arrays
-        Cost units.
-    epsilon : float
-        Cost units.
+    f, g: (N,) and (M,), cost units; epsilon: cost units.
     """
     softmins = problem.bounded_softmins(f, g, epsilon)
     return State(f, g, *softmins, problem.residual(f, g, *softmins, epsilon))
@@ -60,17 +54,8 @@ def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
 def slack_of(problem: Problem, floor: Any, rounding: Any, mass: Any, epsilon: float) -> Any:
     """Return by how much rounding and truncation can make a dual seem to have fallen.
 
-    Parameters
-    ----------
-    problem : Problem
-    floor : float
-        The dual that was reached before.
-    rounding : float
-        Largest residual that rounding alone can cause, in units of epsilon.
-    mass : float
-        Mass of the plan.
-    epsilon : float
-        Cost units.
+    floor: the dual that was reached before; rounding: largest residual that rounding alone can
+    cause, in units of epsilon; mass: mass of the plan; epsilon: cost units.
     """
     slack = 1e-12 * abs(floor) + SLACK * rounding * epsilon * mass
     return slack + problem.left_out * epsilon * mass
@@ -81,12 +66,7 @@ def dual_rounding(problem: Problem, epsilon: float, precise: bool) -> Any:
 
     The dual's own rounding is then a small part of `slack_of`.
 
-    Parameters
-    ----------
-    problem : Problem
-    epsilon : float
-        Cost units.
-    precise : bool
+    epsilon: cost units.
     """
     return DUAL_SHARE * SLACK * ROUNDING_MARGIN * problem.rounding(epsilon, precise)
 
@@ -94,10 +74,7 @@ def dual_rounding(problem: Problem, epsilon: float, precise: bool) -> Any:
 def share_done(first: float, residual: float, tol: float) -> float:
     """Return the share of the work that is done, if residuals fall geometrically.
 
-    Parameters
-    ----------
-    first, residual, tol : float
-        The first residual, the current one, and the tolerance.
+    first, residual, tol: the first residual, the current one, and the tolerance.
     """
     if residual <= tol or first <= tol:
         return 1.0
@@ -109,14 +86,7 @@ def share_done(first: float, residual: float, tol: float) -> float:
 def needs_more(problem: Problem, precision: str, epsilon: float, tol: float) -> Any:
     """Return whether a tolerance needs exponents better than float32 and `precision` allows them.
 
-    Parameters
-    ----------
-    problem : Problem
-    precision : {"auto", "float32", "float64"}
-    epsilon : float
-        Cost units.
-    tol : float
-        Units of epsilon.
+    precision: {"auto", "float32", "float64"}; epsilon: cost units; tol: units of epsilon.
     """
     if precision != "auto":
         return precision == "float64"

@@ -28,10 +28,7 @@ from clmorph.transport._solver.state import dual_rounding
 class Steps(Protocol):
     """The steps of one problem, or of many, whose numbers then are arrays of shape (k,).
 
-    Attributes
-    ----------
-    ahead : int
-        Softmins of an iteration that are in vain if its extrapolation is taken back.
+    ahead: softmins of an iteration that are in vain if its extrapolation is taken back.
     """
 
     ahead: int
@@ -73,12 +70,7 @@ class Steps(Protocol):
 
 
 class HostSteps:
-    """Steps whose arithmetic NumPy does; see `Steps`.
-
-    Parameters
-    ----------
-    problem : Problem
-    """
+    """Steps whose arithmetic NumPy does; see `Steps`."""
 
     ahead = 0
 
@@ -151,13 +143,7 @@ class HostSteps:
 
 
 class DeviceSteps:
-    """Steps of one problem whose arithmetic the device does; the host reads a few numbers.
-
-    Parameters
-    ----------
-    problem : Problem
-    iteration : ResidentIteration
-    """
+    """Steps of one problem whose arithmetic the device does; the host reads a few numbers."""
 
     ahead = 1
 

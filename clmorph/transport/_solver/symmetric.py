@@ -90,12 +90,7 @@ def solve_symmetric(
 ) -> Iteration:
     """Return the solves of one or many measures with themselves.
 
-    Parameters
-    ----------
-    problem : Problem
-        One problem, or made by `problem_of_many`; all are symmetric.
-    blur, tol, max_iter, precision, report
-        As in `Iteration`. One iteration takes one softmin.
+    problem: one problem, or made by `problem_of_many`; all are symmetric.
     """
     problem.to_columns = problem.to_rows
     # Each iteration halves the residual unless it consists of rounding.

@@ -171,13 +171,7 @@ def checked_call(
     blur: Any, reach: Any, epsilon: Any, rho: Any, tol: Any, max_iter: Any, fixed: Any,
     debias: Any, seed: Any,
 ) -> Call:  # fmt: skip
-    """Return the checked options of `barycenter`, which are its parameters.
-
-    Raises
-    ------
-    InputError
-        If an option cannot be used.
-    """
+    """Return the checked options of `barycenter`, which are its parameters."""
     given = one_regularization(blur, reach, epsilon, rho)
     fixed, debias = check_flag("fixed", fixed), check_flag("debias", debias)
     most = (FIXED_ITERATIONS if fixed else FREE_ITERATIONS) if max_iter is None else max_iter
@@ -199,13 +193,7 @@ class BarycenterProblem(NamedTuple):
 
 
 def prepared(measures: Any, weights: Any, support: Any, call: Call) -> BarycenterProblem:
-    """Return the checked measures, shares and support of `barycenter`.
-
-    Raises
-    ------
-    InputError
-        If one of them cannot be used.
-    """
+    """Return the checked measures, shares and support of `barycenter`."""
     whole = _checked(measures)
     shares = _shares(weights, len(whole))
     # A share that float64 cannot tell from 0 would divide 0 by 0.

@@ -51,20 +51,8 @@ def fixed_support(
 ) -> Barycenter:
     """Return the barycenter's weights on given points.
 
-    Parameters
-    ----------
-    measures : sequence of Measure or WeightedPoints
-        Of equal masses.
-    shares : sequence of float
-        Positive shares of the measures, with the sum 1.
-    points : (N, D) array
-    epsilon : float
-    debias : bool
-    tol, max_iter : float, int
-        See `clmorph.barycenter`.
-    operations : Operations
-    report : callable
-        Called with the share of the work that is done.
+    measures: of equal masses; shares: positive shares of the measures, with the sum 1; points: (N,
+    D); report: called with the share of the work that is done.
     """
     mass = float(measures[0].weights.sum())
     unit = np.ones(len(points))

@@ -30,10 +30,7 @@ from clmorph._shared.typing import Progress
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, WeightedPoints
-from clmorph.transport._solver.checks import choose_truncation
 from clmorph.transport._solver.plan_softmin import sent, uploaded
-from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport.barycenters.result import Barycenter
 from clmorph.transport.divergence import self_transport_of
 from clmorph.transport.potentials import Potentials
@@ -64,25 +61,8 @@ def free_support(
 ) -> Barycenter:
     """Move points, and change their masses unless transport is balanced, until they rest.
 
-    Parameters
-    ----------
-    measures : sequence of Measure or WeightedPoints
-    shares : sequence of float
-        Positive shares of the measures, with the sum 1.
-    start : WeightedPoints
-    given : Regularization
-        With one reach for both sides.
-    debias : bool
-    tol, max_iter : float, int
-        See `clmorph.barycenter`.
-    operations : Operations
-    report : callable
-        Called with the share of the work that is done.
-
-    Raises
-    ------
-    InputError
-        If all mass of the support vanishes.
+    shares: positive shares of the measures, with the sum 1; given: with one reach for both sides;
+    report: called with the share of the work that is done.
     """
     epsilon, rho = given.epsilon, given.rho[0]
     balanced = bool(np.isinf(rho))
@@ -98,15 +78,13 @@ def free_support(
         inexact = 0.0
         ratio, pull = np.zeros(len(points)), np.zeros_like(points)
         for k, (measure, share) in enumerate(zip(measures, shares, strict=True)):
-            limit = choose_truncation("auto", inner, len(here) * len(measure) >= MANY_PAIRS)
-            problem = Problem.between(operations, here, measure, given.rho, limit)
-            before = found[k]
+            before, both = found[k], (cloud, clouds[k])
             solved = solve(
-                problem, (here, measure), given, inner, INNER_ITERATIONS, "auto",
-                lambda share: None, None if before is None else before.g,
+                operations, (here, measure), given, inner, INNER_ITERATIONS, "auto",
+                lambda share: None, clouds=both, g=None if before is None else before.g,
             )  # fmt: skip
             found[k], inexact = solved, max(inexact, solved.residual)
-            going = sent(operations, (cloud, clouds[k]), (here, measure), solved)
+            going = sent(operations, both, (here, measure), solved)
             ratio += share * going.ratio
             pull += (share * going.ratio)[:, None] * (going.mean - points)
         if debias:

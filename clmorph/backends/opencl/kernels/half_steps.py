@@ -62,14 +62,7 @@ SLOTS = Slots(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
 
 
 class HalfSteps(ResidentSteps):
-    """Iterations over all pairs of points.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    take_turns : callable
-        See `ResidentSteps`.
-    """
+    """Iterations over all pairs of points."""
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         super().__init__(loop.work, take_turns)

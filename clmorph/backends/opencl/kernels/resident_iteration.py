@@ -31,15 +31,9 @@ class DeviceIteration:
 
     Of its potentials the last and the next one are kept.
 
-    Attributes
-    ----------
-    steps : ResidentSteps
-    slots : Slots
-    sides : (rows, columns)
-        Clouds, or parts of stored pairs, with a length and a stride.
-    arguments : dict
-        What kernels take while the iteration goes on, by name: scalars, and buffers. ``rows`` and
-        ``columns`` hold vectors, (slots, stride) float64; ``start`` is the host's potential.
+    sides: (rows, columns), clouds, or parts of stored pairs, with a length and a stride; arguments:
+    what kernels take while the iteration goes on, by name: scalars, and buffers. ``rows`` and
+    ``columns`` hold vectors, (slots, stride) float64; ``start`` is the host's potential.
     """
 
     steps: "ResidentSteps"
@@ -104,11 +98,7 @@ class DeviceIteration:
 class BoundKernels:
     """Kernels of their own, whose arguments stay set while an iteration goes on.
 
-    Parameters
-    ----------
-    kernels : dict of kernels by name
-    arguments : dict of tuples of str
-        The names of the arguments of kernels, in their order.
+    arguments: the names of the arguments of kernels, in their order.
     """
 
     def __init__(
@@ -128,11 +118,7 @@ class BoundKernels:
     ) -> None:
         """Set what stays the same in an iteration, if it is that of another one.
 
-        Parameters
-        ----------
-        iteration : DeviceIteration
-        scalars : callable
-            A function that returns arguments which follow from epsilon.
+        scalars: a function that returns arguments which follow from epsilon.
         """
         if self._iteration is None or self._iteration() is not iteration:
             self._iteration, self._epsilon = None, 0.0
@@ -167,11 +153,7 @@ Launch = tuple[str, tuple[int, ...], tuple[int, ...] | None]
 class ResidentSteps(ABC):
     """Iterations on the device.
 
-    Parameters
-    ----------
-    work : Workspace
-    take_turns : callable
-        Makes methods run one at a time on a device, see `OpenCLOperations`.
+    take_turns: makes methods run one at a time on a device, see `OpenCLOperations`.
     """
 
     def __init__(self, work: Workspace, take_turns: Callable[[Any], Any]) -> None:

@@ -78,16 +78,9 @@ class StoredIteration(DeviceIteration):
 
     Its arguments ``given_rows`` and ``given_columns`` are vectors that the host writes.
 
-    Attributes
-    ----------
-    pairs : (Side, Side)
-        The stored pairs by row and by column.
-    origin : (M,) array
-        Potential of the columns for which the pairs were stored.
-    counted : (M,) array of bool
-        The columns of positive mass.
-    row_middle : float
-        Midrange of the changes of f at the center of the trust region, cost units.
+    pairs: (Side, Side), the stored pairs by row and by column; origin: (M,), potential of the
+    columns for which the pairs were stored; counted: (M,), the columns of positive mass;
+    row_middle: midrange of the changes of f at the center of the trust region, cost units.
     """
 
     pairs: tuple[Side, Side]
@@ -99,16 +92,7 @@ class StoredIteration(DeviceIteration):
 class StoredSteps(ResidentSteps):
     """Iterations over stored pairs.
 
-    Parameters
-    ----------
-    loop : RowLoop
-    take_turns : callable
-        See `ResidentSteps`.
-
-    Attributes
-    ----------
-    most_groups : int
-        Largest number of work-groups of a loop over vectors.
+    most_groups: largest number of work-groups of a loop over vectors.
     """
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
