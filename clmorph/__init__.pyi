@@ -16,10 +16,10 @@ from .adapters import (
     torch as torch,
 )
 from .analysis.inspect import (
-    Inspection as Inspection,
-)
-from .analysis.inspect import (
     inspect as inspect,
+)
+from .analysis.inspection import (
+    Inspection as Inspection,
 )
 from .backends.select import (
     get_backend as get_backend,
@@ -135,6 +135,9 @@ from .pipeline.recolor import (
 from .pipeline.recolor_options import (
     RecolorOptions as RecolorOptions,
 )
+from .pipeline.recolored import (
+    Recolored as Recolored,
+)
 from .pipeline.result import (
     Morph as Morph,
 )
@@ -233,6 +236,7 @@ __all__ = [
     "RearrangeOptions",
     "Rearrangement",
     "RecolorOptions",
+    "Recolored",
     "WeightedPoints",
     "barycenter",
     "barycentric_plan",

@@ -2,8 +2,9 @@
 
 import importlib
 import logging
+from io import BytesIO
 from os import PathLike
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +31,12 @@ from clmorph.analysis.panels import (
     outline,
     write_numbers,
 )
-from clmorph.analysis.report import Inspection
+from clmorph.analysis.report import Report
 from clmorph.errors import OutputError
 from clmorph.measures.measure import Measure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Endings of file names for the formats of pictures.
 ENDINGS = (".png", ".svg", ".pdf")
@@ -68,7 +72,7 @@ def check_plotting(path: str | PathLike[str] | None = None) -> None:
         )
 
 
-def draw_inspection(inspection: Inspection, path: str | PathLike[str]) -> None:
+def draw_inspection(inspection: Report, path: str | PathLike[str]) -> None:
     """Draw the figure of a transport to a path, whose old file is replaced atomically.
 
     The panels show both images, the mean displacement of source pixels as arrows, the mass
@@ -76,20 +80,53 @@ def draw_inspection(inspection: Inspection, path: str | PathLike[str]) -> None:
     the main numbers.
     """
     check_plotting(path)
+    with atomic_path(path) as place:
+        _write(inspection, place, place.suffix.lower())
+
+
+def inspection_png(inspection: Report) -> bytes:
+    """Return the figure of a transport as the bytes of a PNG file."""
+    check_plotting()
+    file = BytesIO()
+    _write(inspection, file, ".png")
+    return file.getvalue()
+
+
+def plotted(inspection: Report) -> "Figure":
+    """Return the figure of a transport as one of pyplot, which shows it."""
+    check_plotting()
+    import matplotlib
+    import matplotlib.pyplot as plt
+
+    with matplotlib.rc_context(cast(Any, STYLE)):
+        figure = plt.figure(figsize=SIZE)
+        _lay_out(figure, inspection)
+    return figure
+
+
+def has_plotting() -> bool:
+    """Return whether matplotlib is installed."""
+    try:
+        check_plotting()
+    except OutputError:
+        return False
+    return True
+
+
+def _write(inspection: Report, file: Any, ending: str) -> None:
+    """Draw the figure and write it to a path or a file that is open."""
     import matplotlib
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(cast(Any, STYLE)):
         figure = Figure(figsize=SIZE)
         _lay_out(figure, inspection)
-        with atomic_path(path) as place:
-            dates = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}
-            ending = place.suffix.lower()
-            # The file has no date, so that the same numbers give the same file.
-            figure.savefig(place, dpi=DPI, format=ending[1:], metadata={dates[ending]: None})
+        dates = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}
+        # The file has no date, so that the same numbers give the same file.
+        figure.savefig(file, dpi=DPI, format=ending[1:], metadata={dates[ending]: None})
 
 
-def _lay_out(figure: Any, found: Inspection) -> None:
+def _lay_out(figure: Any, found: Report) -> None:
     """Place all panels: the source on the left, the target on the right, motion between."""
     grid = figure.add_gridspec(
         2, 4, width_ratios=(1, 1, 1, 0.92), left=0.015, right=0.985, bottom=0.085, top=0.895,
@@ -138,7 +175,7 @@ def _lay_out(figure: Any, found: Inspection) -> None:
     write_numbers(figure.add_subplot(grid[:, 3]), found)
 
 
-def _arrow_count(found: Inspection) -> int:
+def _arrow_count(found: Report) -> int:
     """Return the number of arrows along a side, which is smaller for long arrows."""
     length = max(found.displacement.mass_weighted_mean, 1e-9)
     return int(np.clip(LONGEST * max(found.source.shape) / length, FEWEST, ARROWS))

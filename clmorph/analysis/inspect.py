@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from clmorph._shared.options import specifications
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.validation import check_flag, check_progress
-from clmorph.analysis.report import Inspection, Marks, Seconds
+from clmorph.analysis.inspection import Inspection
+from clmorph.analysis.report import Marks, Seconds
 from clmorph.analysis.timing import SAMPLED_PAIRS, fill_seconds, frame_seconds
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
@@ -47,7 +48,7 @@ from clmorph.transport.potentials import Potentials
 from clmorph.transport.refine_plan import refined
 from clmorph.transport.subproblems import Subproblem, joined
 
-__all__ = ["Inspection", "Seconds", "inspect"]
+__all__ = ["inspect"]
 
 #: The options that affect the transport, and the time and memory of a morph by it.
 INSPECTED = (

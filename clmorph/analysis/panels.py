@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from clmorph._shared.printable import percent, size_text, time_text
 from clmorph.analysis.drawing import BLUE, GRAY, INK, RED, SKY, pale, show
-from clmorph.analysis.report import Inspection, Marks
+from clmorph.analysis.report import Marks, Report
 from clmorph.measures.measure import Measure
 from clmorph.transport.displacement import Displacement
 
@@ -98,7 +98,7 @@ def draw_lengths(axes: Any, moved: Displacement) -> None:
     axes.set_xlim(0, longest)
 
 
-def draw_residuals(axes: Any, found: Inspection) -> None:
+def draw_residuals(axes: Any, found: Report) -> None:
     """Draw the residual over the iterations."""
     axes.set_title("Residual of the solver")
     residuals = np.maximum(found.potentials.residuals, 1e-16)
@@ -108,7 +108,7 @@ def draw_residuals(axes: Any, found: Inspection) -> None:
     axes.set_ylabel("in ε")
 
 
-def write_numbers(axes: Any, found: Inspection) -> None:
+def write_numbers(axes: Any, found: Report) -> None:
     """Write the main numbers in a column."""
     axes.set_axis_off()
     moved, potentials, memory = found.displacement, found.potentials, found.memory
@@ -178,7 +178,7 @@ def write_numbers(axes: Any, found: Inspection) -> None:
     )
 
 
-def _divergence_rows(found: Inspection) -> list[tuple[str, str]]:
+def _divergence_rows(found: Report) -> list[tuple[str, str]]:
     if found.divergence is None:
         return [("none:", ""), (found.no_divergence, "")]
     low, high = found.divergence.interval

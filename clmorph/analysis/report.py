@@ -54,50 +54,8 @@ class Marks(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Inspection:
-    """Measurements of a transport, and estimates of the time and memory of a morph by it.
-
-    Attributes
-    ----------
-    source, target : Measure
-    potentials : Potentials
-    plan : Plan or None
-        None if its pairs would take more memory than allowed.
-    pairs : int
-        Number of pairs that the plan keeps, even if it was not built.
-    displacement : Displacement
-        Displacement by the kept pairs; without a plan, by all pairs, computed in streaming.
-    divergence : Divergence or None
-        With an interval that certainly contains it.
-    no_divergence : str
-        The reason why there is no divergence; empty if there is one.
-    memory : Memory
-        Estimate for a morph.
-    seconds : Seconds
-    n_frames : int
-        Number of frames for which `seconds.frames` is estimated.
-    moving : int
-        Number of particles of a morph that travel, between pixels: pairs of the plan, or draws
-        from them.
-    shapes : two of (height, width)
-        Shapes of the images that a morph draws.
-    device : str
-        The device that was used.
-    marks : Marks
-        Landmarks.
-
-    Examples
-    --------
-    >>> import clmorph
-    >>> import numpy as np
-    >>> left, right = np.zeros((2, 6, 6, 3))
-    >>> left[:, :3] = right[:, 3:] = 1.0
-    >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
-    >>> found.potentials.status
-    'converged'
-    >>> found.displacement.max > 0
-    True
-    """
+class Report:
+    """What an inspection has measured; `Inspection` describes the attributes, and draws them."""
 
     source: Measure
     target: Measure

@@ -13,16 +13,10 @@ from clmorph.output.playback import Motion
 from clmorph.output.recording import recorded
 from clmorph.output.save import Output, write_all
 from clmorph.pipeline.morph import morph
-from clmorph.pipeline.options import MorphOptions
 
 #: Pixels along a block of the enlarged sprite, and pixels along the photograph.
 SPRITE_ZOOM = 6
 PHOTO_SIDE = 256
-#: The options that differ from the defaults. The blur is larger, because the sprite has few colors
-#: and the photograph has many.
-CHANGES: dict[str, float] = {"blur": 0.04, "color_weight": 1.0}
-#: All options; the pictures are not downscaled.
-OPTIONS = MorphOptions(size=None, **CHANGES)  # type: ignore[arg-type]
 
 
 def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -40,7 +34,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     files = [folder / f"clmorph-demo{ending}" for ending in (".gif", ".html", ".png")]
     outputs = [Output(file) for file in files]
     sprite, photo = demo_images()
-    result = morph(sprite, photo, OPTIONS, backend=operations, progress=stages)
+    result = morph(sprite, photo, backend=operations, progress=stages)
     with recorded(
         [result], Motion(), keep=True, parameters=result.parameters, folder=folder,
         progress=stages,
@@ -49,12 +43,11 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
             outputs, recording,
             report=lambda output, share: stages(f"write {output.path.name}", share),
         )  # fmt: skip
-    given = " ".join(f"--{name.replace('_', '-')} {value:g}" for name, value in CHANGES.items())
     seconds = ", ".join(f"{stage} {time:.1f} s" for stage, time in stages.seconds.items())
     return [
         f"pictures: {sprite.shape[1]}x{sprite.shape[0]} into {photo.shape[1]}x{photo.shape[0]} "
         f"pixels, {len(result.particles)} particles",
-        f"options: --preset photo {given}",
+        "options: the defaults of clmorph morph",
         f"solver: {result.potentials.message}",
         f"times: {seconds}",
         *(f"wrote {file.name}" for file in files),

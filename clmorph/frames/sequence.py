@@ -43,8 +43,16 @@ class FrameSequence(Sequence[Frame]):
     #: The options of the morph, including those of playback and of files.
     options: Any
 
-    #: What a page is called whose pictures have no names.
-    title: ClassVar[str] = "Morph"
+    #: What such frames are, in a word.
+    kind: ClassVar[str] = "Morph"
+
+    @property
+    def title(self) -> str:
+        """What a page is called whose pictures have no names: what the film is, and its sizes."""
+        kind = "Mosaic" if self.detail == "cells" else self.kind
+        ends = [self.canvas(t).shape for t in (0.0, 1.0)]
+        sizes = [f"{width} × {height}" for height, width in ends]
+        return f"{kind} of {' into '.join(dict.fromkeys(sizes))} pixels"
 
     @property
     @abstractmethod

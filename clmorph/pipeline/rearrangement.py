@@ -70,7 +70,7 @@ class Rearrangement(FrameSequence):
     [1.0, 0.75, 0.25, 0.0]
     """
 
-    title: ClassVar[str] = "Rearrangement"
+    kind: ClassVar[str] = "Rearrangement"
 
     assignment: Indices
     cost: float

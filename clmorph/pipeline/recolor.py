@@ -24,6 +24,7 @@ from clmorph.pipeline.color_map import ColorMap, color_map
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import RecolorKeywords
 from clmorph.pipeline.recolor_options import RecolorOptions
+from clmorph.pipeline.recolored import Recolored
 
 #: Number of pixels, in rows and columns at even distances, whose colors make the distributions.
 SAMPLES = 1 << 19
@@ -43,7 +44,7 @@ def recolor(
     backend: Backend = "auto",
     progress: StageProgress | None = None,
     **given: Unpack[RecolorKeywords],
-) -> Array:
+) -> Recolored:
     """Give a picture the colors of another one, by transport between their distributions of color.
 
     Every pixel stays in its place, and its color goes where the smooth, debiased map of the
@@ -69,7 +70,8 @@ def recolor(
 
     Returns
     -------
-    (H, W, 3) float64 array, or (H, W, 4) if the image has opacity
+    Recolored
+        A float64 array (H, W, 3), or (H, W, 4) if the image has opacity, which notebooks show:
         sRGB in [0, 1]; opacity is that of the image. Colors that sRGB cannot show lose chroma, and
         keep lightness and hue.
 
@@ -95,7 +97,7 @@ def recolor(
     report = check_progress(progress)
     pixels, other = as_pixels(image, "image"), as_pixels(like, "like")
     amount = None if mask is None else as_mask(mask, (pixels.shape[0], pixels.shape[1]))
-    return recolored(pixels, other, chosen, amount, backend, report)
+    return recolored(pixels, other, chosen, amount, backend, report).view(Recolored)
 
 
 def recolored(

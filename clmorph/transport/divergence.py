@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from clmorph._shared.notebook import interval
 from clmorph._shared.typing import Progress
 from clmorph._shared.validation import check_flag, check_progress, shown
 from clmorph.backends.interface import Operations
@@ -85,6 +86,10 @@ class Divergence:
     def __repr__(self) -> str:
         low, high = self.interval
         return f"<Divergence {self.value:.6g}, certainly within [{low:.6g}, {high:.6g}]>"
+
+    def _repr_html_(self) -> str:
+        """Show the value and its interval on a line in a notebook."""
+        return interval(self.value, *self.interval, repr(self)[1:-1])
 
     @property
     def converged(self) -> bool:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.notebook import table
 from clmorph._shared.typing import Array, IntArray
 from clmorph._shared.validation import shown
 from clmorph.backends.arrays import as_floats, pyopencl_needed
@@ -73,6 +74,10 @@ class Plan:
             f"{self.nbytes / 1e6:.1f} MB, mass {self.total_mass:g}, "
             f"{100 * self.dropped_mass:.2g} % of it dropped>"
         )
+
+    def _repr_html_(self) -> str:
+        """Show the masses in a notebook: a row for each source point, or for some neighbors."""
+        return table(self.rows, self.indices, self.mass, self.shape, repr(self)[1:-1])
 
     def __len__(self) -> int:
         return len(self.mass)

@@ -19,7 +19,8 @@ from skimage import data
 import clmorph
 from clmorph._shared.printable import percent, size_text, time_text
 from clmorph.analysis.figures import check_plotting, draw_inspection
-from clmorph.analysis.inspect import Inspection, inspect
+from clmorph.analysis.inspect import inspect
+from clmorph.analysis.inspection import Inspection
 from clmorph.analysis.timing import frame_seconds
 from clmorph.backends.opencl.kernels import launches
 from clmorph.cli.main import main

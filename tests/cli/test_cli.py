@@ -255,8 +255,7 @@ def test_demo(tmp_path, monkeypatch, capfd):
     assert main(["demo"]) == 0
     out, err = capfd.readouterr()
     for words in (
-        "options: --preset photo",
-        "--blur 0.04",
+        "options: the defaults of clmorph morph",
         "transport ",
         "frames ",
         "wrote clmorph-demo.gif",

@@ -239,6 +239,6 @@ def test_command(tmp_path, monkeypatch, capsys):
 def test_its_page_is_called_what_it_is(tmp_path):
     image, other = _images(4, 5)
     clmorph.rearrange(image, other, n_frames=3, backend="numpy").save(tmp_path / "a.html")
-    assert "<title>Rearrangement</title>" in (tmp_path / "a.html").read_text()
+    assert "<title>Rearrangement of " in (tmp_path / "a.html").read_text()
     clmorph.morph(image, other, n_frames=3, backend="numpy").save(tmp_path / "b.html")
-    assert "<title>Morph</title>" in (tmp_path / "b.html").read_text()
+    assert "<title>Morph of " in (tmp_path / "b.html").read_text()

@@ -12,6 +12,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.notebook import picture
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_integer
@@ -93,6 +94,10 @@ class Mixes(Sequence[Frame]):
 
     def __repr__(self) -> str:
         return f"<Mixes of {len(self.images)} images, {len(self)} pictures>"
+
+    def _repr_html_(self) -> str:
+        """Show the sheet of all pictures in a notebook."""
+        return picture(self.sheet(), repr(self)[1:-1])
 
     @property
     def options(self) -> MorphOptions:
