@@ -64,6 +64,7 @@ ELSEWHERE = {
     r"python tools/soak\.py .*": ("tests/project/test_tools_faults.py", "import soak"),
     r"python tools/cross_check\.py .*": ("tests/project/test_cross_check.py", "import cross_check"),
     r"clmorph batch .*": ("tests/batch/test_dask_batches.py", '["batch", '),
+    r"python tools/site/build\.py .*": (".ci/run", "tools/site/build.py"),
     r"python tools/compare_peers\.py .*": (
         "tests/project/test_compare_peers.py",
         "import compare_peers",
