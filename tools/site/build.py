@@ -36,8 +36,8 @@ SECTIONS = {
     "Films and pictures": (
         "morph", "Morph", "MorphOptions", "load_options", "rearrange", "Rearrangement",
         "RearrangeOptions", "recolor", "Recolored", "RecolorOptions", "mix", "Mixes", "save",
-        "load", "Archive", "read_image", "read_labels", "write_image", "fit", "inspect", "Inspection",
-        "particles", "Particles", "density_path", "DensityPath",
+        "load", "Archive", "read_image", "read_labels", "write_image", "fit", "inspect",
+        "Inspection", "particles", "Particles", "density_path", "DensityPath",
     ),
     "Transport": (
         "lift", "density", "Measure", "WeightedPoints", "sinkhorn", "Potentials", "transport_plan",
