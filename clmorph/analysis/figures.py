@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clmorph._shared.files import atomic_path, check_file_place
 from clmorph._shared.printable import percent, reason_of
+from clmorph._shared.validation import is_path, shown
 from clmorph.analysis.drawing import (
     ARROWS,
     GRAY,
@@ -65,6 +66,8 @@ def check_plotting(path: str | PathLike[str] | None = None) -> None:
         log.setLevel(level)
     if path is None:
         return
+    if not is_path(path):
+        raise OutputError(f"path={shown(path)}: expected a path such as 'report.png'")
     place = check_file_place(path)
     if place.suffix.lower() not in ENDINGS:
         raise OutputError(

@@ -309,6 +309,8 @@ def cases() -> dict[str, dict[str, Any]]:
         "Inspection.summary": {"self": some["inspection"]},
         "Inspection.lines": {"self": some["inspection"]},
         "Inspection.entries": {"self": some["inspection"]},
+        "Inspection.plot": {"self": some["inspection"]},
+        "Inspection.save": {"self": some["inspection"], "path": "report.svg"},
         "quality.frame_measure": of_morph | {"t": 0.5, "weights": "kernel", "sums": some["sums"]},
         "quality.particle_measure": of_morph | {"t": 0.5, "max_points": 64},
         "quality.path_divergence": of_morph | SOLVER | {
