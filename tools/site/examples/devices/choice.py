@@ -27,6 +27,11 @@ for name in ("auto", "numpy"):
     clmorph.sinkhorn(*pair, blur=0.05, reach=0.3, backend=backend)
     seconds[name] = perf_counter() - began
 
+# One device by its name, here the one that "auto" has found; `clmorph devices` lists all.
+name = clmorph.get_backend("auto").description.split(" (")[0]
+found = clmorph.sinkhorn(*pair, blur=0.05, reach=0.3, backend=name)
+print(f"on {name!r}: {found.message}")
+
 plt.figure(figsize=(6, 2), layout="constrained")
 plt.barh(list(seconds), list(seconds.values()), color=["C0", "C1"])
 plt.xscale("log")

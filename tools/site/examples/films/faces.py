@@ -29,6 +29,11 @@ for row, (name, each) in zip(axes, (("without", plain), ("with", film)), strict=
         ax.axis("off")
 
 # %%
+# With pictures of your own, faces are looked for in both of them::
+#
+#     pip install "clmorph[faces]"
+#     clmorph morph a.png b.jpg -o film.gif
+#
 # In the player, ``m`` shows the landmarks. A click in each picture sets another pair.
 
 film

@@ -14,7 +14,6 @@ import clmorph
 cat = clmorph.fit(data.chelsea()[:, 85:385], 128)
 astronaut = clmorph.fit(data.astronaut()[:256, 100:356], 128)
 film = clmorph.morph(astronaut, cat, n_frames=20)
-# film.save("film.gif") writes it; pictures from files: clmorph.read_image("a.png")
 
 fig, axes = plt.subplots(1, 5, figsize=(10, 2.3), layout="constrained")
 for ax, t in zip(axes, (0, 0.25, 0.5, 0.75, 1), strict=True):
@@ -26,3 +25,11 @@ for ax, t in zip(axes, (0, 0.25, 0.5, 0.75, 1), strict=True):
 # The film itself.
 
 film
+
+# %%
+# With pictures of your own, from Python or in a terminal::
+#
+#     film = clmorph.morph(clmorph.read_image("a.png"), clmorph.read_image("b.jpg"))
+#     film.save("film.gif")
+#
+#     clmorph morph a.png b.jpg -o film.gif
