@@ -174,7 +174,13 @@ def test_a_film_plays_in_its_page(opened):
     page = opened("gallery/films/sprites.html")
     frame = page.frame_locator("iframe")
     frame.locator("canvas").first.wait_for()
-    assert frame.locator("canvas").first.bounding_box()["width"] > 100
+    # The player enlarges the frames to its room when it has opened them.
+    for _ in range(100):
+        if frame.locator("canvas").first.bounding_box()["width"] > 100:
+            break
+        page.wait_for_timeout(100)
+    else:
+        pytest.fail("the film stays as small as it is")
     assert page.locator("iframe").get_attribute("title") == "Morph of 10 × 8 pixels"
 
 
