@@ -1,31 +1,51 @@
-// A Sinkhorn iteration between two softmins over all pairs, float64, in one launch of one work-group for each
-// half-step (the formulas stand in vector_steps.cl). Before it a kernel joins the softmin that log_sum_exp.cl
-// has computed; after it, it prepares the next one.
+// A Sinkhorn iteration between two softmins over all pairs, float64, of one problem or of many. It is Algorithm 1
+// of Sejourne, Vialard and Peyre (2022), extrapolated; the formulas stand in vector_steps.cl:
 //
-// Shapes: n points of the rows and m of the columns, both padded to whole tiles by points without mass.
-// Launch: get_global_size(0) == GROUP, see vector_steps.cl.
+//   row_step     s = translation(g, T(g)), f = Delta_a (T(g) - s), g <- g + s; the dual of (f, g), which decides
+//                whether the extrapolation before it is kept
+//   column_step  the residual; s = translation(f, T(f)), g' = Delta_b (T(f) - s), f <- f + s; the dual of (f, g');
+//                the next g: g' extrapolated by Anderson's acceleration, without drift if both sides are balanced
 //
-// -D ROW_*, COLUMN_*, NUMBER_*  places of vectors and numbers, see half_step_slots.py
+// Each kernel first joins the softmin that log_sum_exp.cl has computed, and last prepares the next one.
+//
+// Shapes: n points of the rows and m of the columns, those of all problems one after the other, each problem
+// padded to whole tiles by points without mass. `problems` has a line for each problem, see PROBLEM.
+// Launch: a work-group of GROUP for each problem, see vector_steps.cl.
+//
+// -D ROW_*, COLUMN_*, NUMBER_*, PROBLEM_*  places of vectors and numbers, see half_step_slots.py
 
 #include "softmin_vectors.cl"
+
+// What the host says of the problem of a group: its first entry and its number of entries (0 once it has
+// stopped) of both sides, the first of its pairs of tiles, its control, see vector_steps.cl, and the trust radius.
+#define PROBLEM(field) problems[get_group_id(0) * PROBLEM_COUNT + PROBLEM_##field]
+#define RADIUS as_double(((ulong)PROBLEM(RADIUS_HIGH) << 32) | PROBLEM(RADIUS_LOW))
+#define PROBLEM_SETUP                                                                          \
+    const uint own_n = PROBLEM(N), own_m = PROBLEM(M), control = PROBLEM(CONTROL);             \
+    const uint first_tiles[2] = {PROBLEM(FIRST_ROW) / TILE, PROBLEM(FIRST_COLUMN) / TILE};     \
+    const size_t first_pair = PROBLEM(FIRST_PAIR);                                             \
+    columns += PROBLEM(FIRST_COLUMN)
 
 // Prepare the softmin of the rows, T(g), for a new g: the host's, or one of the columns' vectors.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void prepare_rows(
-    const uint n, const uint m, const uint planes, const uint control, const double k,
+    const __global uint* restrict problems,
+    const uint n, const uint m, const uint planes, const uint n_listed, const double k,
     const __global double* restrict start,       // (m,): the host's g
     __global double* restrict columns,           // (slots, m)
-    const __global double* restrict tile_costs,  // (n / TILE, m / TILE)
+    const __global double* restrict tile_costs,  // of pairs of tiles, rows first
     __global double* restrict tile_max,          // (largest number of tiles,)
     __global double* restrict row_level,         // (n / TILE,)
     __global float* restrict logits,             // (2, m)
-    __global float* restrict levels)             // (n / TILE, planes, m / TILE)
+    __global float* restrict levels)             // see prepare_softmin
 {
+    PROBLEM_SETUP;
     if (G_AT == COLUMN_START)
-        for (uint i = FIRST; i < m; i += STEP)
-            DSTORE(DLOAD(i, start), i, COLUMN(COLUMN_START));
-    prepare_softmin(COLUMN(G_AT), COLUMN(COLUMN_OFFSETS), COLUMN(COLUMN_LOG2_WEIGHTS), tile_costs,
-                    m, n / TILE, planes, k, tile_max, row_level, logits, levels);
+        for (uint i = FIRST; i < own_m; i += STEP)
+            DSTORE(DLOAD(i, start + PROBLEM(FIRST_COLUMN)), i, COLUMN(COLUMN_START));
+    prepare_softmin(COLUMN(G_AT), COLUMN(COLUMN_OFFSETS), COLUMN(COLUMN_LOG2_WEIGHTS), tile_costs + first_pair,
+                    m, own_m, own_n / TILE, planes, n_listed, k, tile_max + first_tiles[1],
+                    row_level + first_tiles[0], logits + PROBLEM(FIRST_COLUMN), levels + first_pair);
 }
 
 // The logarithm of sum_i weights_i exp(-rate potential_i), by its largest term; 0 if nothing needs it.
@@ -62,78 +82,93 @@ INLINE double dual_part(
 // After T(g): f, the shift of g, and the dual. Then the softmin of the columns, T(f), is prepared.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void row_step(
-    const uint n, const uint m, const uint shares, const uint planes, const uint control,
+    const __global uint* restrict problems,
+    const uint n, const uint m, const uint shares, const uint planes, const uint n_listed,
     const double k, const double epsilon, const double inverse_rho_source,
-    const double inverse_rho_target, const double radius,
+    const double inverse_rho_target,
     const __global float* restrict maxima,       // (shares, n)
     const __global float* restrict sums,         // (shares, n)
     const __global double* restrict row_level,   // (n / TILE,): of this softmin
     __global double* restrict rows,              // (slots, n)
     __global double* restrict columns,           // (slots, m)
-    const __global double* restrict tile_costs,  // (m / TILE, n / TILE)
+    const __global double* restrict tile_costs,  // of pairs of tiles, columns first
     __global double* restrict tile_max,          // (largest number of tiles,)
     __global double* restrict next_level,        // (m / TILE,): of the next softmin
     __global float* restrict logits,             // (2, n): of the next softmin
-    __global float* restrict levels,             // (m / TILE, planes, n / TILE)
-    __global double* restrict products,          // (MEMORY, MEMORY)
-    __global double* restrict numbers)           // see half_step_slots.py
+    __global float* restrict levels,             // see prepare_softmin
+    __global double* restrict numbers)           // (problems, NUMBER_COUNT)
 {
+    PROBLEM_SETUP;
+    rows += PROBLEM(FIRST_ROW);
+    maxima += PROBLEM(FIRST_ROW);
+    sums += PROBLEM(FIRST_ROW);
+    row_level += first_tiles[0];
+    numbers += get_group_id(0) * NUMBER_COUNT;
     __local double shared[GROUP];
     const double damping = damping_of(epsilon, inverse_rho_source);
     const double rate = inverse_rho_source * damping, rates = rate + inverse_rho_target;
     vdouble unusual = (vdouble)(0.0); // not a number if a softmin is not finite
-    for (uint i = FIRST; i < n; i += STEP) {
+    for (uint i = FIRST; i < own_n; i += STEP) {
         const vdouble softmin = softmin_of(maxima, sums, row_level, ROW(ROW_OWN_COSTS), shares, n, k, i);
         DSTORE(softmin, i, ROW(ROW_SOFTMIN));
         unusual += softmin * (vdouble)(0.0);
     }
     const double finite = group_sum(sum_of_lanes(unusual), shared);
     const double shift = translation(
-        log_sum(COLUMN(COLUMN_LOG_WEIGHTS), COLUMN(G_AT), m, inverse_rho_target, rates > 0.0, shared),
-        log_sum(ROW(ROW_LOG_WEIGHTS), ROW(ROW_SOFTMIN), n, rate, rates > 0.0, shared), rates);
+        log_sum(COLUMN(COLUMN_LOG_WEIGHTS), COLUMN(G_AT), own_m, inverse_rho_target, rates > 0.0, shared),
+        log_sum(ROW(ROW_LOG_WEIGHTS), ROW(ROW_SOFTMIN), own_n, rate, rates > 0.0, shared), rates);
     vdouble mass = (vdouble)(0.0);
-    for (uint i = FIRST; i < n; i += STEP) {
+    for (uint i = FIRST; i < own_n; i += STEP) {
         const vdouble softmin = DLOAD(i, ROW(ROW_SOFTMIN)) - (vdouble)(shift);
         const vdouble f = (vdouble)(damping) * softmin;
         DSTORE(softmin, i, ROW(ROW_SOFTMIN));
         DSTORE(f, i, ROW(ROW_F));
         mass += marginal(DLOAD(i, ROW(ROW_WEIGHTS)), DLOAD(i, ROW(ROW_LOG_WEIGHTS)), f, softmin, epsilon);
     }
-    for (uint i = FIRST; i < m; i += STEP)
+    for (uint i = FIRST; i < own_m; i += STEP)
         DSTORE(DLOAD(i, COLUMN(G_AT)) + (vdouble)(shift), i, COLUMN(COLUMN_SHIFTED));
     const double plan_mass = group_sum(sum_of_lanes(mass), shared);
     const double dual = -epsilon * plan_mass
-        + dual_part(ROW(ROW_WEIGHTS), ROW(ROW_F), n, inverse_rho_source, shared)
-        + dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_SHIFTED), m, inverse_rho_target, shared);
+        + dual_part(ROW(ROW_WEIGHTS), ROW(ROW_F), own_n, inverse_rho_source, shared)
+        + dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_SHIFTED), own_m, inverse_rho_target, shared);
     if (get_local_id(0) == 0) {
         numbers[NUMBER_MASS] = plan_mass;
         numbers[NUMBER_ROW_DUAL] = dual;
         numbers[NUMBER_ROW_FINITE] = finite;
     }
-    prepare_softmin(ROW(ROW_F), ROW(ROW_OFFSETS), ROW(ROW_LOG2_WEIGHTS), tile_costs, n, m / TILE,
-                    planes, k, tile_max, next_level, logits, levels);
+    prepare_softmin(ROW(ROW_F), ROW(ROW_OFFSETS), ROW(ROW_LOG2_WEIGHTS), tile_costs + first_pair,
+                    n, own_n, own_m / TILE, planes, n_listed, k, tile_max + first_tiles[0],
+                    next_level + first_tiles[1], logits + PROBLEM(FIRST_ROW), levels + first_pair);
 }
 
 // After T(f): the residual, the image of g, the shift of f, the dual, and the extrapolated g. Then the
 // softmin of the rows, T(g), is prepared.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_step(
-    const uint n, const uint m, const uint shares, const uint planes, const uint control,
+    const __global uint* restrict problems,
+    const uint n, const uint m, const uint shares, const uint planes, const uint n_listed,
     const double k, const double epsilon, const double inverse_rho_source,
-    const double inverse_rho_target, const double radius,
+    const double inverse_rho_target,
     const __global float* restrict maxima,       // (shares, m)
     const __global float* restrict sums,         // (shares, m)
     const __global double* restrict row_level,   // (m / TILE,): of this softmin
     __global double* restrict rows,              // (slots, n)
     __global double* restrict columns,           // (slots, m)
-    const __global double* restrict tile_costs,  // (n / TILE, m / TILE)
+    const __global double* restrict tile_costs,  // of pairs of tiles, rows first
     __global double* restrict tile_max,          // (largest number of tiles,)
     __global double* restrict next_level,        // (n / TILE,): of the next softmin
     __global float* restrict logits,             // (2, m): of the next softmin
-    __global float* restrict levels,             // (n / TILE, planes, m / TILE)
-    __global double* restrict products,          // (MEMORY, MEMORY)
-    __global double* restrict numbers)           // see half_step_slots.py
+    __global float* restrict levels,             // see prepare_softmin
+    __global double* restrict products,          // (problems, MEMORY, MEMORY)
+    __global double* restrict numbers)           // (problems, NUMBER_COUNT)
 {
+    PROBLEM_SETUP;
+    rows += PROBLEM(FIRST_ROW);
+    maxima += PROBLEM(FIRST_COLUMN);
+    sums += PROBLEM(FIRST_COLUMN);
+    row_level += first_tiles[1];
+    numbers += get_group_id(0) * NUMBER_COUNT;
+    products += get_group_id(0) * MEMORY * MEMORY;
     __local double shared[GROUP];
     SHARED double system[MEMORY * SYSTEM_ROW];
     const double row_damping = damping_of(epsilon, inverse_rho_source);
@@ -141,10 +176,10 @@ void column_step(
     const double rate = inverse_rho_target * damping, rates = rate + inverse_rho_source;
     const bool balanced = inverse_rho_source == 0.0 && inverse_rho_target == 0.0;
     vdouble farthest = (vdouble)(0.0), unusual = (vdouble)(0.0);
-    for (uint i = FIRST; i < n; i += STEP)
+    for (uint i = FIRST; i < own_n; i += STEP)
         farthest = fmax(farthest, distance_of(DLOAD(i, ROW(ROW_WEIGHTS)), DLOAD(i, ROW(ROW_F)),
                                               (vdouble)(row_damping) * DLOAD(i, ROW(ROW_SOFTMIN))));
-    for (uint i = FIRST; i < m; i += STEP) {
+    for (uint i = FIRST; i < own_m; i += STEP) {
         const vdouble softmin = softmin_of(maxima, sums, row_level, COLUMN(COLUMN_OWN_COSTS), shares, m, k, i);
         DSTORE(softmin, i, COLUMN(COLUMN_SOFTMIN));
         farthest = fmax(farthest, distance_of(DLOAD(i, COLUMN(COLUMN_WEIGHTS)), DLOAD(i, COLUMN(COLUMN_SHIFTED)),
@@ -154,16 +189,16 @@ void column_step(
     const double residual = group_largest(largest_lane(farthest), shared) / epsilon;
     const double finite = group_sum(sum_of_lanes(unusual), shared);
     const double shift = translation(
-        log_sum(ROW(ROW_LOG_WEIGHTS), ROW(ROW_F), n, inverse_rho_source, rates > 0.0, shared),
-        log_sum(COLUMN(COLUMN_LOG_WEIGHTS), COLUMN(COLUMN_SOFTMIN), m, rate, rates > 0.0, shared), rates);
-    for (uint i = FIRST; i < n; i += STEP)
+        log_sum(ROW(ROW_LOG_WEIGHTS), ROW(ROW_F), own_n, inverse_rho_source, rates > 0.0, shared),
+        log_sum(COLUMN(COLUMN_LOG_WEIGHTS), COLUMN(COLUMN_SOFTMIN), own_m, rate, rates > 0.0, shared), rates);
+    for (uint i = FIRST; i < own_n; i += STEP)
         DSTORE(DLOAD(i, ROW(ROW_F)) + (vdouble)(shift), i, ROW(ROW_SHIFTED));
 
     vdouble mass = (vdouble)(0.0), square = (vdouble)(0.0);
     vdouble of_difference[MEMORY], of_residual[MEMORY];
     for (uint j = 0; j < MEMORY; ++j)
         of_difference[j] = of_residual[j] = (vdouble)(0.0);
-    for (uint i = FIRST; i < m; i += STEP) {
+    for (uint i = FIRST; i < own_m; i += STEP) {
         const vdouble softmin = DLOAD(i, COLUMN(COLUMN_SOFTMIN)) - (vdouble)(shift);
         const vdouble image = (vdouble)(damping) * softmin;
         const vdouble own = marginal(
@@ -175,10 +210,10 @@ void column_step(
     }
     const double plan_mass = group_sum(sum_of_lanes(mass), shared);
     const double dual = -epsilon * plan_mass
-        + dual_part(ROW(ROW_WEIGHTS), ROW(ROW_SHIFTED), n, inverse_rho_source, shared)
-        + dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_IMAGE_0 + PARITY), m, inverse_rho_target, shared);
+        + dual_part(ROW(ROW_WEIGHTS), ROW(ROW_SHIFTED), own_n, inverse_rho_source, shared)
+        + dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_IMAGE_0 + PARITY), own_m, inverse_rho_target, shared);
 
-    const double longest = radius * sqrt(group_sum(sum_of_lanes(square), shared));
+    const double longest = RADIUS * sqrt(group_sum(sum_of_lanes(square), shared));
     double row[MEMORY], right[MEMORY], coefficients[MEMORY];
     for (uint j = 0; j < MEMORY; ++j) {
         row[j] = group_sum(sum_of_lanes(of_difference[j]), shared);
@@ -188,7 +223,7 @@ void column_step(
     for (uint j = get_local_id(0); j < COUNT; j += GROUP)
         store_products(products, row[j], j, PLACE);
     vdouble length = (vdouble)(0.0), along = (vdouble)(0.0);
-    for (uint i = FIRST; i < m; i += STEP) {
+    for (uint i = FIRST; i < own_m; i += STEP) {
         const vdouble step = step_from_image(columns, m, control, i, coefficients);
         DSTORE(step, i, COLUMN(COLUMN_STEP));
         length += step * DLOAD(i, COLUMN(COLUMN_MASS)) * step;
@@ -199,7 +234,7 @@ void column_step(
     // Balanced potentials are unique up to a constant, along which nothing bounds an extrapolation.
     const double mean = group_sum(sum_of_lanes(along), shared) / plan_mass;
     const double drift = balanced ? factor * mean : 0.0;
-    for (uint i = FIRST; i < m; i += STEP)
+    for (uint i = FIRST; i < own_m; i += STEP)
         DSTORE(DLOAD(i, COLUMN(COLUMN_IMAGE_0 + PARITY)) + (vdouble)(factor) * DLOAD(i, COLUMN(COLUMN_STEP))
                    - (vdouble)(drift), i, COLUMN(COLUMN_GUESS_0 + PARITY));
     if (get_local_id(0) == 0) {
@@ -212,5 +247,7 @@ void column_step(
     // Without an extrapolation the image itself is next.
     const uint next_at = (found ? COLUMN_GUESS_0 : COLUMN_IMAGE_0) + PARITY;
     prepare_softmin(COLUMN(next_at), COLUMN(COLUMN_OFFSETS), COLUMN(COLUMN_LOG2_WEIGHTS),
-                    tile_costs, m, n / TILE, planes, k, tile_max, next_level, logits, levels);
+                    tile_costs + first_pair, m, own_m, own_n / TILE, planes, n_listed, k,
+                    tile_max + first_tiles[1], next_level + first_tiles[0],
+                    logits + PROBLEM(FIRST_COLUMN), levels + first_pair);
 }

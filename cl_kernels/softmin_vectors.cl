@@ -44,19 +44,22 @@ INLINE vdouble logit_of(
 }
 
 // What row_loop.cl needs of the potential of the columns: logits below the largest of their tile, and the
-// levels of pairs of tiles below the largest of their row, both in float32 with its rounding errors.
+// levels of pairs of tiles below the largest of their row, both in float32 with its rounding errors. Levels are
+// (row_tiles, planes, tiles) of one problem, or with `n_listed` pairs of tiles of many problems in all,
+// (planes, n_listed), of which these are (row_tiles, tiles).
 LONG_FUNCTION void prepare_softmin(
     const __global double* potential,    // (m,)
     const __global double* offsets,      // (m,)
     const __global double* log2_weights, // (m,)
-    const __global double* tile_costs,   // (row_tiles, m / TILE): |p - q|^2 / 2 of the tiles' centers
-    const uint m, const uint row_tiles, const uint planes, const double k,
-    __global double* tile_max,           // (m / TILE,)
+    const __global double* tile_costs,   // (row_tiles, own_m / TILE): |p - q|^2 / 2 of the tiles' centers
+    const uint m, const uint own_m, const uint row_tiles, const uint planes, const uint n_listed, const double k,
+    __global double* tile_max,           // (own_m / TILE,)
     __global double* row_level,          // (row_tiles,)
     __global float* logits,              // (2, m)
-    __global float* levels)              // (row_tiles, planes, m / TILE)
+    __global float* levels)
 {
-    const uint tiles = m / TILE;
+    const uint tiles = own_m / TILE;
+    const size_t level_plane = n_listed ? n_listed : tiles, level_row = n_listed ? tiles : planes * tiles;
     STEP_BARRIER();
     for (uint q = get_local_id(0); q < tiles; q += GROUP) {
         vdouble largest = logit_of(potential, offsets, log2_weights, k, q * TILE);
@@ -79,12 +82,12 @@ LONG_FUNCTION void prepare_softmin(
         for (uint q = 1; q < tiles; ++q)
             top = fmax(top, tile_max[q] - k * costs[q]);
         row_level[p] = top;
-        __global float* own_levels = levels + (size_t)p * planes * tiles;
+        __global float* own_levels = levels + p * level_row;
         for (uint q = 0; q < tiles; ++q) {
             const double level = fmax(tile_max[q] - k * costs[q] - top, (double)SENTINEL);
             own_levels[q] = (float)level;
             if (planes == 2)
-                own_levels[tiles + q] = (float)(level - (double)(float)level);
+                own_levels[level_plane + q] = (float)(level - (double)(float)level);
         }
     }
 }

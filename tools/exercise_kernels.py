@@ -27,6 +27,7 @@ from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.verification.layers import mean_cases, path_cases, scenes
 from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations
+from clmorph.transport._solver.batch import problem_of_many
 from clmorph.transport._solver.coarse_grid import STORED_CHOICES, stored_grid
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.steps import Steps, new_steps
@@ -46,6 +47,26 @@ def iterated(operations: Operations, rho: tuple[float, float], precise: bool) ->
     measures = [WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in (130, 67)]
     steps = new_steps(Problem.between(operations, *measures, rho))
     return a_few_steps(steps, np.zeros(67), 0.05, precise)
+
+
+def iterated_together(operations: Operations) -> list[np.ndarray]:
+    """Run a few steps of three problems, of which one stops and one takes a step back."""
+    rng = np.random.default_rng(4)
+    pairs = [
+        tuple(WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in sizes)
+        for sizes in ((60, 1), (1, 40), (69, 26))
+    ]
+    steps = new_steps(problem_of_many(operations, pairs, (0.3, 0.5)))
+    steps.begin(np.zeros(67), 0.05, False)
+    for back in (np.zeros(3, bool), np.zeros(3, bool), np.array([True, False, False])):
+        steps.update_rows()
+        steps.take_back(back)
+        steps.update_columns()
+        steps.go_on(~back)
+    steps.keep(np.array([0, 2]))
+    steps.update_rows()
+    steps.update_columns()
+    return [*steps.potentials()]
 
 
 def iterated_over_stored(operations: Operations, rho: tuple[float, float]) -> list[np.ndarray]:
@@ -120,6 +141,7 @@ def exercise(operations: Operations) -> list[np.ndarray]:
             operations.softmin_batch(*own, potential, 0.01, True),
             operations.bounded_softmin_batch(*own, potential, 0.01)[0],
         ]
+    results += iterated_together(operations)
     for clouds, own, potential in (((rows, columns), f, g), ((columns, rows), g, f)):
         guess = operations.softmin(*clouds, potential, 0.01)
         near = operations.near_pairs(*clouds, potential, guess, 0.01, 1e-7)

@@ -50,13 +50,14 @@ class ResidentIteration(Protocol):
 
     An iteration is a half-step of f and one of g, each with its shift, and an extrapolation of g:
     the formulas of `clmorph.transport._solver.half_steps`. The host reads a few numbers and decides
-    which potential is the next.
+    which potential is the next. In iterations of many problems, each number and truth value is an
+    array with one for each problem.
     """
 
     def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
         """Set the potential g at which the next iteration begins: (M,) array, cost units."""
 
-    def iterate(self, begun: bool, place: int, count: int, radius: float) -> IterationNumbers:
+    def iterate(self, begun: Any, place: Any, count: Any, radius: Any) -> IterationNumbers:
         """Run one iteration, with one wait.
 
         `begun` tells whether an iterate is stored, with which this one makes a difference; the
@@ -64,11 +65,14 @@ class ResidentIteration(Protocol):
         `radius` is that of the trust region, see `clmorph.transport._solver.anderson`.
         """
 
-    def go_on(self, extrapolated: bool) -> None:
+    def go_on(self, extrapolated: Any, which: Any = True) -> None:
         """Take the last iteration's extrapolation, or its image of g, as the next potential."""
 
-    def go_back(self) -> None:
+    def go_back(self, which: Any = True) -> None:
         """Drop the last iteration, and take the image of the one before as the next potential."""
+
+    def keep(self, problems: NDArray[np.intp]) -> None:
+        """Go on with some of many problems until the next potential is set, for all of them."""
 
     def potentials(self) -> tuple[Float64, Float64, Float64]:
         """Return f, the image of g, and T(f) after the last iteration: (N,), (M,), (M,) arrays."""
@@ -163,6 +167,15 @@ class Operations(Protocol):
         `weights` are the masses of both clouds, and `inverse_rho` the inverses of the marginal
         penalties, 0 if balanced.
         """
+
+    def start_batch_iteration(
+        self,
+        rows: Any,
+        columns: Any,
+        weights: tuple[Float64, Float64],
+        inverse_rho: tuple[float, float],
+    ) -> ResidentIteration | None:
+        """Return one as `start_iteration`, of all problems of batches of clouds."""
 
     def upload_batch(
         self,

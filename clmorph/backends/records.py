@@ -122,15 +122,15 @@ class StoredVectors(NamedTuple):
 class IterationNumbers(NamedTuple):
     """What the host reads after an iteration on the device; see `Iteration`."""
 
-    mass: float  #: of the plan, after the half-step of f
-    row_dual: float  #: the dual then, without its constant
-    residual: float  #: after the softmin of f, units of epsilon
-    column_dual: float  #: the dual after the half-step of g, without its constant
-    extrapolated: bool  #: whether there is a guess for the next potential
-    cut: bool  #: whether the trust region has limited it
-    finite: bool  #: whether both softmins are finite
+    mass: Any  #: of the plan, after the half-step of f
+    row_dual: Any  #: the dual then, without its constant
+    residual: Any  #: after the softmin of f, units of epsilon
+    column_dual: Any  #: the dual after the half-step of g, without its constant
+    extrapolated: Any  #: whether there is a guess for the next potential
+    cut: Any  #: whether the trust region has limited it
+    finite: Any  #: whether both softmins are finite
     #: The farthest move of f from the center of the trust region, cost units; 0 without a region.
-    moved: float = 0.0
+    moved: Any = 0.0
 
 
 def bin_grid(shape: tuple[int, int], margin: int, size: float) -> tuple[int, int]:

@@ -57,7 +57,7 @@ def test_solves_agree_with_numpy(device, rng, rho):
     ours, theirs = found
     assert ours.converged
     assert len(ours.residuals) > 18
-    assert ours.n_iter <= 1.2 * theirs.n_iter + 3
+    assert ours.n_iter <= 1.3 * theirs.n_iter + 3
     shift = 0.0 if np.isfinite(rho).any() else (ours.f - theirs.f)[1]
     for one, other, sign in ((ours.f, theirs.f, -1), (ours.g, theirs.g, 1)):
         assert np.abs(one + sign * shift - other).max() <= 1e-3 * 0.05**2

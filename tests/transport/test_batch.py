@@ -4,11 +4,12 @@ import warnings
 
 import numpy as np
 import pytest
+from count_transfers import TransferCount
+from residuals import iterates_itself, slack_of_count, true_residual
 
 import clmorph
 from clmorph import ConvergenceWarning, InputError
 from clmorph.backends.numpy import NumPyOperations
-from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.transport import certificate, sinkhorn_batch
 from clmorph.transport._solver import checks
 from clmorph.transport._solver.problem import Problem
@@ -33,18 +34,6 @@ def solve(pairs, *given, **options):
     return clmorph.sinkhorn_batch(
         [pair[0] for pair in pairs], [pair[1] for pair in pairs], *given, **options
     )
-
-
-def true_residual(pair, potentials):
-    """The residual as `sinkhorn` defines it, by NumPy."""
-    measures = [clmorph.WeightedPoints(np.asarray(x), np.asarray(w)) for w, x in pair]
-    rho = potentials.rho if isinstance(potentials.rho, tuple) else (potentials.rho,) * 2
-    problem = Problem.between(REFERENCE, *measures, rho)
-    softmins = (
-        problem.softmin_rows(potentials.g, potentials.epsilon, True),
-        problem.softmin_columns(potentials.f, potentials.epsilon, True),
-    )
-    return problem.residual(potentials.f, potentials.g, *softmins, potentials.epsilon)
 
 
 def assert_alike(found, pairs, backend, **options):
@@ -189,6 +178,26 @@ def test_a_part_at_a_time_gives_the_same(monkeypatch, rng):
         assert np.allclose(one.f, other.f, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize(("blur", "reach"), [(0.005, 0.3), (0.02, None), (0.05, (0.2, None))])
+def test_hard_problems_take_the_iterations_of_a_solve_alone(any_backend, rng, blur, reach):
+    """To the last bit where the device iterates, as hundreds of iterations multiply any rounding.
+
+    On the host the stored iterates of a problem that has begun anew have other places in a batch.
+    """
+    pairs = random_pairs(rng, 5, (20, 150))
+    spread = [[(10 ** rng.uniform(-12, 0, len(x)), x) for _, x in pair] for pair in pairs[:2]]
+    pairs += [tuple((w / w.sum(), x) for w, x in pair) for pair in spread]
+    found = solve(pairs, blur, reach, max_iter=3000, backend=any_backend)
+    for ours, pair in zip(found, pairs, strict=True):
+        alone = clmorph.sinkhorn(*pair, blur, reach, max_iter=3000, backend=any_backend)
+        assert ours.status == alone.status
+        if iterates_itself(any_backend):
+            assert np.array_equal(ours.f, alone.f)
+        assert abs(ours.n_iter - alone.n_iter) <= slack_of_count(any_backend, alone.n_iter)
+        assert ours.dual <= alone.primal
+        assert alone.dual <= ours.primal
+
+
 def test_many_pairs_are_solved_alone(monkeypatch, rng):
     pairs = random_pairs(rng, 3, (30, 40))
     monkeypatch.setattr(checks, "MANY_PAIRS", 900)
@@ -224,21 +233,19 @@ def test_finished_problems_cost_nothing(rng):
     assert operations.counts[-1] < 10
 
 
-def test_the_number_of_launches_is_that_of_the_slowest(device, rng, monkeypatch):
+def test_the_number_of_launches_is_that_of_the_slowest(device, rng):
     pairs = random_pairs(rng, 40, (30, 70))
     solve(pairs, 0.1, 0.5, backend=device)
-    launches, launch = [], Workspace.launch
-    monkeypatch.setattr(
-        Workspace,
-        "launch",
-        lambda self, *given, **read: (launches.append(1), launch(self, *given, **read)),
-    )
-    found = solve(pairs, 0.1, 0.5, backend=device)
-    # Two softmins an iteration, two for all certificates, and those that were taken back.
-    assert 2 * found.n_iter.max() <= len(launches) <= 2.3 * found.n_iter.max() + 8
-    launches.clear()
-    list(found)
-    assert not launches
+    with TransferCount() as count:
+        found = solve(pairs, 0.1, 0.5, backend=device)
+    # Two softmins an iteration, with the arithmetic after each on the device, two for all
+    # certificates, and those that were taken back.
+    each = 4 if device.has_float64 and not device.constants.longest_loop else 2
+    n_iter = found.n_iter.max()
+    assert each * n_iter <= count.n_launches <= 1.15 * each * n_iter + 20
+    with TransferCount() as count:
+        list(found)
+    assert not count.n_launches
 
 
 def test_potentials_are_made_when_they_are_asked_for(monkeypatch, rng):

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from residuals import slack_of_count, true_residual
 
 import clmorph
 from clmorph import ConvergenceWarning
@@ -43,6 +44,44 @@ def _pair(rng: np.random.Generator, balanced: bool) -> Any:
     return tuple(clouds)
 
 
+def hard(rng: np.random.Generator, count: int = 10) -> Batch:
+    """Some random pairs at small blurs, of masses over up to twelve decades."""
+    reach = rng.choice([None, 0.05, 0.3, 1.0])
+    pairs = []
+    for _ in range(count):
+        dimension, decades, clouds = int(rng.integers(1, 6)), 12 * rng.random() ** 2, []
+        for _ in range(2):
+            n = int(rng.integers(1, 50))
+            a = 10 ** rng.uniform(-decades, 0, n)
+            total = 1.0 if reach is None else 10 ** rng.uniform(-1, 1)
+            clouds.append((a / a.sum() * total, rng.random((n, dimension))))
+        pairs.append(tuple(clouds))
+    options = {"blur": float(10 ** rng.uniform(-2.3, -0.5)), "reach": reach, "max_iter": 400}
+    return Batch(*map(list, zip(*pairs, strict=True)), options)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(50))
+def test_certificates_of_hard_problems_enclose_one_optimum(any_backend, seed):
+    """Five hundred problems on each device in turn, against NumPy's certificates."""
+    sources, targets, options = hard(np.random.default_rng(1000 + seed))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        wanted = clmorph.sinkhorn_batch(sources, targets, **options, backend="numpy")
+        found = clmorph.sinkhorn_batch(sources, targets, **options, backend=any_backend)
+        for number, pair in enumerate(zip(sources, targets, strict=True)):
+            ours, theirs = found[number], wanted[number]
+            alone = clmorph.sinkhorn(*pair, **options, backend=any_backend)
+            assert ours.status == alone.status, number
+            if alone.converged:
+                slack = slack_of_count(any_backend, alone.n_iter)
+                assert abs(ours.n_iter - alone.n_iter) <= slack, number
+            for one, other in ((ours, theirs), (theirs, ours), (ours, alone), (alone, ours)):
+                assert one.dual <= other.primal, number
+            residual = true_residual(pair, ours)
+            assert residual <= ours.residual * (1 + 1e-9), number
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("seed", range(20))
 def test_batches_are_as_single_solves(any_backend, seed):
@@ -57,6 +96,9 @@ def test_batches_are_as_single_solves(any_backend, seed):
         for number, pair in enumerate(zip(sources, targets, strict=True)):
             alone = clmorph.sinkhorn(*pair, **options)
             assert plain[number].status == alone.status, number
+            if alone.converged:
+                slack = slack_of_count(any_backend, alone.n_iter)
+                assert abs(plain[number].n_iter - alone.n_iter) <= slack, number
             assert plain[number].dual <= alone.primal
             assert alone.dual <= plain[number].primal
             one, other = found[number], clmorph.sinkhorn_divergence(*pair, **options, gradient=True)

@@ -12,7 +12,7 @@ from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.variants import KERNELS, Variant, all_variants
 from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.backends.opencl.kernels import loop_limits
-from clmorph.backends.verification.batches import check_softmin_batch
+from clmorph.backends.verification.batches import check_batch_iteration, check_softmin_batch
 from clmorph.backends.verification.clouds import (
     LONG_ROW,
     Cloud,
@@ -173,6 +173,7 @@ def _iterations(bench: Bench, variant: Variant) -> _Findings:
     for case in (tiles, *lifted[1:2]):
         for balanced in range(4):
             yield from check_iteration(case, balanced)
+    yield from check_batch_iteration(bench.operations)
 
 
 def _stored_iterations(bench: Bench, variant: Variant) -> _Findings:

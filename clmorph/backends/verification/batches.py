@@ -62,6 +62,61 @@ def check_softmin_batch(
         yield Finding(name, share, 1.0, "of the tolerance")
 
 
+def check_batch_iteration(operations: Operations) -> Iterator[Finding]:
+    """Compare iterations of a batch, one problem of which stops, with those of each one alone.
+
+    `check_iteration` compares the latter with their definitions. Sums over shares of columns may
+    be added in another order.
+    """
+    pairs = [[clustered(5, n, 7 * k + side) for side, n in enumerate(SIZES[k])] for k in range(4)]
+    masses = [np.concatenate([pair[side][1] for pair in pairs]) for side in range(2)]
+    batches = [_upload(operations, [pair[side] for pair in pairs]) for side in range(2)]
+    rates = 1.0 / (20 * EPSILON), 0.0
+    many = operations.start_batch_iteration(batches[0], batches[1], (masses[0], masses[1]), rates)
+    if many is None:
+        return
+    rng = np.random.default_rng(1)
+    potentials = [EPSILON * rng.normal(size=m) for _, m in SIZES[:4]]
+    many.set_potential(np.concatenate(potentials), EPSILON, False)
+    singles = []
+    for (rows, columns), g in zip(pairs, potentials, strict=True):
+        clouds = operations.upload(*rows), operations.upload(*columns)
+        single = operations.start_iteration(*clouds, (rows[1], columns[1]), rates)
+        assert single is not None, "the problem of a batch has no iteration of its own"
+        single.set_potential(g, EPSILON, False)
+        singles.append(single)
+    here = np.arange(4)
+    for number in range(4):
+        begun, place, count = number > 0, max(number - 1, 0), number
+        each = np.full(len(here), begun), np.full(len(here), place), np.full(len(here), count)
+        found = many.iterate(*each, np.full(len(here), 32.0))
+        f, g, t_columns = many.potentials()
+        wanted = [singles[k].iterate(begun, place, count, 32.0) for k in here]
+        parts = zip(*(singles[k].potentials() for k in here), strict=True)
+        off = max(
+            float(np.abs(got - np.concatenate(want)).max())
+            for got, want in zip((f, g, t_columns), parts, strict=True)
+        )
+        off = max(
+            off / EPSILON,
+            *(abs(np.subtract(getattr(found, name), [getattr(one, name) for one in wanted])).max()
+              for name in ("residual", "mass")),
+        )  # fmt: skip
+        yield Finding(f"start_batch_iteration, step {number}", float(off), 1e-4, "nats")
+        taken_back = number == 2 and here == 1
+        back = np.broadcast_to(taken_back, here.shape)
+        many.go_back(back)
+        many.go_on(found.extrapolated & ~back, ~back)
+        for k, one, is_back in zip(here, wanted, back, strict=True):
+            if is_back:
+                singles[k].go_back()
+            else:
+                singles[k].go_on(one.extrapolated)
+        if number == 1:
+            many.keep(np.array([0, 1, 3]))
+            here = here[[0, 1, 3]]
+
+
 def _upload(operations: Operations, clouds: list[Cloud]) -> Any:
     """Upload a batch of clouds."""
     points, weights = (np.concatenate(each) for each in zip(*clouds, strict=True))

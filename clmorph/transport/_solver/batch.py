@@ -11,7 +11,7 @@ from clmorph.backends.records import NearPairs
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import Problem, cost_across
 from clmorph.transport._solver.reductions import Segments
-from clmorph.transport._solver.softmin import Softmin
+from clmorph.transport._solver.softmin import Softmin, overflow
 from clmorph.transport.certificate import Certificate, Side, certify
 
 
@@ -39,8 +39,9 @@ class BatchSoftmin(Softmin):
             softmin = self.operations.softmin_batch(*arguments, precise)
         if not np.all(np.isfinite(softmin)):
             place = int(np.argmin(np.isfinite(softmin)))
-            problem = int(np.searchsorted(self._starts, place, side="right")) - 1
-            raise NotFiniteError(int(self.numbers[problem]))
+            raise NotFiniteError(
+                int(self.numbers[np.searchsorted(self._starts, place, side="right") - 1])
+            )
         return softmin
 
 
@@ -52,6 +53,15 @@ class NotFiniteError(Exception):
         self.problem = problem
 
 
+def not_finite(problem: Problem, number: int) -> Exception:
+    """Return the error for one of many problems, or the only one, whose softmin overflowed."""
+    return (
+        NotFiniteError(int(problem.to_rows.numbers[number]))
+        if problem.of_rows.shape
+        else overflow("points")
+    )
+
+
 class BatchSide(NamedTuple):
     """The sources, or the targets, of many problems."""
 
@@ -59,9 +69,9 @@ class BatchSide(NamedTuple):
     weights: Array
     cloud: Any
 
-    def some(self, operations: Operations, problems: IntArray) -> "BatchSide":
-        """Return this side of some problems."""
-        cloud = operations.take_batch(self.cloud, problems)
+    def some(self, operations: Operations, problems: IntArray, uploaded: bool) -> "BatchSide":
+        """Return this side of some problems; its cloud only if it is to be `uploaded`."""
+        cloud = operations.take_batch(self.cloud, problems) if uploaded else None
         return BatchSide(self.of.some(problems), self.weights[self.of.points_of(problems)], cloud)
 
 
@@ -118,13 +128,16 @@ def _problem(
     )  # fmt: skip
 
 
-def some(problem: Problem, problems: IntArray) -> Problem:
-    """Return some of many problems, by their numbers, (k,), ascending; the only one as it is."""
+def some(problem: Problem, problems: IntArray, uploaded: bool = True) -> Problem:
+    """Return some of many problems, by their numbers, (k,), ascending; the only one as it is.
+
+    Without clouds (`uploaded`) they have no softmins.
+    """
     if len(problems) == np.size(problem.masses[0]) or not problem.of_rows.shape:
         return problem
     operations, symmetric = problem.operations, problem.to_columns is problem.to_rows
     rows, columns = (
-        BatchSide(of, weights, cloud).some(operations, problems)
+        BatchSide(of, weights, cloud).some(operations, problems, uploaded)
         for of, weights, cloud in (
             (problem.of_rows, problem.a, problem.rows),
             (problem.of_columns, problem.b, problem.columns),

@@ -73,7 +73,6 @@ class Reached:
     t_columns: Array
     residual: Array  #: (k,) before that half-step
     precise: bool
-    steps: Steps | None  #: steps that can go on with all of them, if there are such
 
     def some(self, which: BoolArray) -> "Reached":
         """Return this for some of the problems."""
@@ -84,7 +83,7 @@ class Reached:
         return Reached(
             (self.of[0].some(places), self.of[1].some(places)), self.numbers[places],
             self.f[rows], self.g[columns], self.t_columns[columns],
-            self.residual[places], self.precise, None,
+            self.residual[places], self.precise,
         )  # fmt: skip
 
 
@@ -221,7 +220,6 @@ class Iteration:
             self.t_columns,
             self.residual,
             False,
-            None,
         )
         left = [(precise, begun.some(self.precise == precise)) for precise in (False, True)]
         if self.precision == "auto" and operations.exponent_roundoff > operations.precise_roundoff:
@@ -241,9 +239,8 @@ class Iteration:
                 if not len(rest.numbers):
                     break
                 reached = self._iterate(
-                    rest.numbers, rest.g, epsilon, share * self.tol, limit, precise,
-                    steps=rest.steps,
-                )  # fmt: skip
+                    rest.numbers, rest.g, epsilon, share * self.tol, limit, precise
+                )
                 converged = self.status[rest.numbers] == "converged"
                 self._measure(reached, epsilon, precise)
                 status = self.status[rest.numbers]
@@ -253,8 +250,7 @@ class Iteration:
                     bounds = self.roundoffs.max(axis=0)[rest.numbers]
                     further = may_sum_exactly(problem, status, self.precision, self.tol, bounds)
                     again |= further
-                    if further.any():
-                        problem.exact_sums, reached.steps = True, None
+                    problem.exact_sums |= bool(further.any())
                 rest = reached.some(again & (self.n_iter[rest.numbers] < limit))
 
     def _measure(self, reached: Reached, epsilon: float, precise: bool) -> None:
@@ -299,7 +295,6 @@ class Iteration:
         limit: int,
         precise: bool,
         leave: bool = False,
-        steps: Steps | None = None,
     ) -> Reached:
         """Iterate at one epsilon until residuals are `tol` or `limit` iterations are over.
 
@@ -310,13 +305,13 @@ class Iteration:
         problem = some(self.problem, numbers)
         of: Any = problem.of_rows
         count = len(numbers)
-        steps = steps or self._new_steps(problem)
+        steps = self._new_steps(problem)
         steps.begin(g, epsilon, precise)
         self.status[numbers] = "max_iter"
         self.rounding[numbers] = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
         reached = Reached(
             problem.reductions, numbers, np.zeros(len(problem.a)), np.zeros(len(problem.b)),
-            np.zeros(len(problem.b)), np.zeros(count), precise, steps,
+            np.zeros(len(problem.b)), np.zeros(count), precise,
         )  # fmt: skip
         tol, rounding, n_softmin = (
             values if of.shape else values.tolist()[0]
@@ -377,7 +372,7 @@ class Iteration:
             may = running & live & (n_iter + 1 < limit) & (self._max_iter >= SHORT)
             guessed = steps.go_on(may)
             if of.any(ended) and np.count_nonzero(running) <= (1 - STOPPED) * len(current):
-                kept, reached.steps = np.flatnonzero(running), None
+                kept = np.flatnonzero(running)
                 problem, places, current = steps.keep(kept), places[kept], current[kept]
                 of = problem.of_rows
                 tol, rounding, floor, noise, best, since_best, running, guessed, n_softmin = (

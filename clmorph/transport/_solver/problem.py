@@ -234,13 +234,15 @@ class Problem:
         return HalfStep(damping * softmin, old + other.spread(s), softmin, log_mass)
 
     def start_iteration(self) -> ResidentIteration | None:
-        """Return the device's iteration of one problem over all pairs, if the backend has it."""
-        if self.exact_sums or self.of_rows.shape:
+        """Return the device's iteration over all pairs, if the backend has it."""
+        if self.exact_sums:
             return None
         if self.truncation is None and not self._asked:
-            self._resident = self.operations.start_iteration(
-                self.rows, self.columns, (self.a, self.b), self.inverse_rho
+            many = self.of_rows.shape
+            start = (
+                self.operations.start_batch_iteration if many else self.operations.start_iteration
             )
+            self._resident = start(self.rows, self.columns, (self.a, self.b), self.inverse_rho)
             self._asked = True
         return self._resident
 

@@ -119,14 +119,15 @@ class Segments:
         """Return the sum over each problem: (B,) array."""
         if self._each:
             return np.asarray(x.reshape(-1, self._each).sum(axis=1))
-        return np.asarray(np.add.reduceat(x, self.starts))
+        return np.array([part.sum() for part in self._parts(x)])
 
     def inner(self, x: Array, y: Array) -> Array:
         """Return the inner product of the parts of two vectors of each problem: (B,) array."""
         if self._each:
             shape = -1, self._each
             return np.asarray(np.einsum("bn,bn->b", x.reshape(shape), y.reshape(shape)))
-        return self.sum(x * y)
+        both = zip(self._parts(x), self._parts(y), strict=True)
+        return np.array([np.einsum("i,i", *parts) for parts in both])
 
     def largest(self, x: Array) -> Array:
         """Return the largest entry of each problem: (B,) array."""
@@ -151,17 +152,16 @@ class Segments:
         if self._each:
             parts = many.reshape(len(many), -1, self._each)
             return np.asarray(np.einsum("kbn,bn->bk", parts, x.reshape(-1, self._each)))
-        return np.stack([np.add.reduceat(each * x, self.starts) for each in many], axis=-1)
+        both = zip(self._parts(many), self._parts(x), strict=True)
+        return np.array([np.einsum("kn,n->k", *parts) for parts in both])
 
     def combined(self, factors: Array, many: Array) -> Array:
         """Return the sum of (k, n) vectors, each multiplied by its (B, k) factors."""
         if self._each:
             parts = many.reshape(len(many), -1, self._each)
             return np.einsum("bk,kbn->bn", factors, parts).ravel()
-        result = np.zeros(many.shape[1])
-        for factor, each in zip(factors.T, many, strict=True):
-            result += self.scaled(factor, each)
-        return result
+        both = zip(factors, self._parts(many), strict=True)
+        return np.concatenate([np.einsum("k,kn->n", *parts) for parts in both])
 
     def points_of(self, problems: IntArray) -> IntArray:
         """Return the indices of the points of some problems, problem after problem."""
@@ -173,6 +173,11 @@ class Segments:
     def some(self, problems: IntArray) -> "Segments":
         """Return the reductions of some problems."""
         return Segments(self.counts[problems])
+
+    def _parts(self, x: AnyArray) -> list[AnyArray]:
+        """Return the parts (..., n) of each problem, whose sums have the bits of `Whole` then."""
+        ends = self.starts + self.counts
+        return [x[..., a:b] for a, b in zip(self.starts.tolist(), ends.tolist(), strict=True)]
 
     def part(self, x: AnyArray, problem: int) -> AnyArray:
         """Return the entries of one problem, as a view."""

@@ -12,7 +12,7 @@ import numpy as np
 from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import MEMORY, ResidentIteration
 from clmorph.transport._solver.anderson import GROWTH, Anderson, TrustRegion
-from clmorph.transport._solver.batch import some
+from clmorph.transport._solver.batch import not_finite, some
 from clmorph.transport._solver.half_steps import (
     ColumnStep,
     RowStep,
@@ -21,7 +21,6 @@ from clmorph.transport._solver.half_steps import (
     without_drift,
 )
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import overflow
 from clmorph.transport._solver.state import dual_rounding
 
 
@@ -143,69 +142,84 @@ class HostSteps:
 
 
 class DeviceSteps:
-    """Steps of one problem whose arithmetic the device does; the host reads a few numbers."""
+    """Steps whose arithmetic the device does, of one problem or of many; see `Steps`.
+
+    The host reads a few numbers of each problem, and holds the state of `Anderson`, whose vectors
+    are on the device.
+    """
 
     ahead = 1
 
     def __init__(self, problem: Problem, iteration: ResidentIteration) -> None:
         self._problem, self._iteration = problem, iteration
-        # The state of `Anderson`, whose vectors are on the device.
-        self._region = TrustRegion()
-        self._begun, self._next = False, 0
+        of: Any = problem.of_rows
+        self._region = TrustRegion(of.shape)
+        self._begun, self._next, self._back = of.filled(False), of.filled(0), of.filled(False)
 
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
-        self._epsilon, self._precise, self._guessed = epsilon, precise, False
+        self._epsilon, self._guessed = epsilon, self._problem.of_rows.filled(False)
         self._iteration.set_potential(g, epsilon, precise)
 
     def update_rows(self) -> None:
         """Run an iteration, as if its potential were good."""
-        radius = float(self._region.radius)
-        if self._guessed and self._region.was_cut:
-            radius *= GROWTH
-        count = min(self._next + 1, MEMORY) if self._begun else 0
-        place = self._next % MEMORY if self._begun else 0
+        of: Any = self._problem.of_rows
+        region = self._region
+        self._back = of.filled(False)
+        radius = of.choose(self._guessed & region.was_cut, GROWTH * region.radius, region.radius)
+        place = of.choose(self._begun, self._next % MEMORY, 0)
+        count = of.choose(self._begun, of.smaller(self._next + 1, MEMORY), 0)
         self._numbers = self._iteration.iterate(self._begun, place, count, radius)
-        if not self._numbers.finite:
-            raise overflow("points")
+        if of.any(of.without(of.filled(True), self._numbers.finite)):
+            raise not_finite(self._problem, int(np.argmin(self._numbers.finite)))
 
     @property
-    def row_dual(self) -> tuple[float, float]:
+    def row_dual(self) -> tuple[Any, Any]:
         return self._numbers.mass, self._numbers.row_dual
 
     def take_back(self, which: Any = np.True_) -> None:
-        self._iteration.go_back()
+        of: Any = self._problem.of_rows
+        self._back = which
+        self._iteration.go_back(which)
         self._region.rejected(which)
-        self._begun, self._next, self._guessed = False, 0, False
+        self._begun, self._next = of.without(self._begun, which), of.choose(which, 0, self._next)
+        self._guessed = of.without(self._guessed, which)
 
     def accept(self, which: Any = np.True_) -> None:
-        if self._region.was_cut:
+        if self._problem.of_rows.any(self._region.was_cut):
             self._region.accepted(which)
 
-    def update_columns(self) -> float:
+    def update_columns(self) -> Any:
         """Return the residual before g was updated, which `update_rows` has computed."""
         return self._numbers.residual
 
-    def outside_trust_region(self) -> bool:
+    def outside_trust_region(self) -> Any:
         return self._numbers.moved > self._problem.trust_radius * self._epsilon
 
     @property
-    def column_dual(self) -> float:
+    def column_dual(self) -> Any:
         return self._numbers.column_dual
 
     def go_on(self, extrapolate: Any) -> Any:
-        self._guessed = bool(extrapolate and self._numbers.extrapolated)
-        self._iteration.go_on(self._guessed)
-        if extrapolate:
-            self._next += self._begun
-            self._begun = True
-            self._region.was_cut = self._numbers.cut
+        of: Any = self._problem.of_rows
+        numbers = self._numbers
+        extrapolate = of.without(extrapolate, self._back)
+        self._guessed = extrapolate & numbers.extrapolated
+        self._iteration.go_on(self._guessed, of.without(of.filled(True), self._back))
+        self._next = self._next + (extrapolate & self._begun)
+        self._begun = self._begun | extrapolate
+        self._region.was_cut = of.choose(extrapolate, numbers.cut, self._region.was_cut)
         return self._guessed
 
     def potentials(self) -> tuple[Array, Array, Array]:
         return self._iteration.potentials()
 
     def keep(self, problems: IntArray) -> Problem:
-        """Return the only problem."""
+        self._problem = some(self._problem, problems, uploaded=False)
+        self._iteration.keep(problems)
+        self._region.take(problems)
+        self._begun, self._next, self._guessed, self._back = (
+            values[problems] for values in (self._begun, self._next, self._guessed, self._back)
+        )
         return self._problem
 
 

@@ -18,11 +18,17 @@ NUMBERS = (
     "MASS", "ROW_DUAL", "ROW_FINITE", "RESIDUAL_SIZE", "COLUMN_DUAL", "COLUMN_FINITE", "FOUND",
     "CUT",
 )  # fmt: skip
+#: What the host says of each problem before an iteration, uint32; the radius is a float64.
+PROBLEM = (
+    "FIRST_ROW", "N", "FIRST_COLUMN", "M", "FIRST_PAIR", "CONTROL", "RADIUS_LOW", "RADIUS_HIGH",
+)  # fmt: skip
 
 
 def macros() -> dict[str, int | float]:
     """Return the macros that name these places."""
-    return macros_of(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
+    named = macros_of(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
+    fields = {f"PROBLEM_{name}": place for place, name in enumerate(PROBLEM)}
+    return named | fields | {"PROBLEM_COUNT": len(PROBLEM), "NUMBER_COUNT": len(NUMBERS)}
 
 
 def macros_of(

@@ -87,7 +87,8 @@ class BatchLogSumExp:
         # Places in the sorted list, with the last place of a problem repeated up to a whole tile.
         within = runs(np.zeros_like(tiles), tiles * size)
         last = np.repeat(counts - 1, tiles * size)
-        order = tile_order(points, size, counts)
+        # The order of `CloudStore.upload`, so that a problem alone has the same bits.
+        order = tile_order(points, size, counts, self._loop.constants.group_rows)
         order = order[np.repeat(starts, tiles * size) + np.minimum(within, last)]
         with np.errstate(divide="ignore"):
             log2_weights = np.log2(np.asarray(weights, float)[order])
@@ -149,7 +150,7 @@ class BatchLogSumExp:
     ) -> tuple[Float64, Float64, Float64]:
         """Return soft minima, and the maxima and sums of the sorted rows."""
         maxima, sums, offsets = self._log_sum_exp.of_sorted(
-            rows.cloud, columns.cloud, potential, epsilon, precise, _pairs(rows, columns), bounded
+            rows.cloud, columns.cloud, potential, epsilon, precise, pairs_of(rows, columns), bounded
         )
         with np.errstate(invalid="ignore", divide="ignore"):
             softmin = -epsilon / LOG2_E * (maxima + offsets + np.log2(sums))
@@ -206,7 +207,7 @@ def _batch(
     return Batch(cloud, counts, tiles, boxes, {})
 
 
-def _pairs(rows: Batch, columns: Batch) -> TilePairs:
+def pairs_of(rows: Batch, columns: Batch) -> TilePairs:
     """Return the column tiles of every row tile: those of its own problem."""
     known = rows.paired.get(id(columns.cloud))
     if known is not None and known[0]() is columns.cloud:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 from clmorph.backends.interface import MEMORY
 from clmorph.backends.opencl.build.constants import SENTINEL
@@ -13,11 +14,14 @@ from clmorph.backends.opencl.build.half_step_slots import (
     COLUMN_SLOTS,
     GIVEN,
     NUMBERS,
+    PROBLEM,
     ROW_SLOTS,
 )
 from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.kernels.batches import Batch, pairs_of, runs
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
 from clmorph.backends.opencl.kernels.resident_iteration import (
+    BatchIteration,
     BoundKernels,
     DeviceIteration,
     Launch,
@@ -25,6 +29,7 @@ from clmorph.backends.opencl.kernels.resident_iteration import (
     Slots,
 )
 from clmorph.backends.opencl.kernels.row_loop import KEPT_LEVELS, LOG2_E, RowLoop
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64
 
 #: The largest number of pairs of points on the host's processor, where a softmin of so many takes
@@ -32,68 +37,153 @@ from clmorph.backends.records import Float64
 #: graphics card has a small share of its float64 arithmetic. Measured speeds decide nothing here,
 #: so that a problem is always solved in the same way.
 MOST_PAIRS, MOST_PAIRS_ELSEWHERE = 1 << 25, 1 << 22
+#: The largest number of pairs of points, those that pad tiles included, of many problems.
+MOST_OF_MANY = 1 << 27
 #: Names of the arguments of kernels, in their order. "rows" and "columns" are softmins.
-_RATES = ("epsilon", "inverse_rho_source", "inverse_rho_target", "radius")
+_RATES = ("epsilon", "inverse_rho_source", "inverse_rho_target")
 _SIDES, _LOGITS = ("rows", "columns"), ("logits", "levels")
 ARGUMENTS = {
     "prepare_rows": (
-        "n", "m", "planes", "first_control", "k", "start", "columns", "row_costs", "tile_max",
-        "row_level", *_LOGITS,
+        "problems", "n", "m", "planes", "n_listed", "k", "start", "columns", "row_costs",
+        "tile_max", "row_level", *_LOGITS,
     ),
     "row_step": (
-        "n", "m", "row_shares", "planes", "control", "k", *_RATES, "maxima", "sums", "row_level",
-        *_SIDES, "column_costs", "tile_max", "column_level", *_LOGITS, "products", "numbers",
+        "problems", "n", "m", "row_shares", "planes", "n_listed", "k", *_RATES, "maxima", "sums",
+        "row_level", *_SIDES, "column_costs", "tile_max", "column_level", *_LOGITS, "numbers",
     ),
     "column_step": (
-        "n", "m", "column_shares", "planes", "control", "k", *_RATES, "maxima", "sums",
-        "column_level", *_SIDES, "row_costs", "tile_max", "row_level", *_LOGITS, "products",
+        "problems", "n", "m", "column_shares", "planes", "n_listed", "k", *_RATES, "maxima",
+        "sums", "column_level", *_SIDES, "row_costs", "tile_max", "row_level", *_LOGITS, "products",
         "numbers",
     ),
-    "rows": (
-        "none", "n", "m", "column_tiles", "none", "column_tiles", "k_high", "k_low", "row_shifts",
-        "row_centers", "column_shifts", "column_centers", *_LOGITS, "n", "maxima", "sums",
-    ),
-    "columns": (
-        "none", "m", "n", "row_tiles", "none", "row_tiles", "k_high", "k_low", "column_shifts",
-        "column_centers", "row_shifts", "row_centers", *_LOGITS, "m", "maxima", "sums",
-    ),
 }  # fmt: skip
+
+
+def _arguments(listed: bool) -> dict[str, tuple[str, ...]]:
+    """Return the arguments of all kernels; softmins of many problems see listed tiles."""
+    softmins = {
+        own: (
+            "none", n, m, f"{other}_tiles", "none", f"{other}_tiles", "k_high", "k_low",
+            f"{own}_shifts", f"{own}_centers", f"{other}_shifts", f"{other}_centers", *_LOGITS,
+            *(("n_listed", f"{own}_starts", f"{own}_listed") if listed else ()),
+            n, "maxima", "sums",
+        )
+        for own, other, n, m in (("row", "column", "n", "m"), ("column", "row", "m", "n"))
+    }  # fmt: skip
+    return ARGUMENTS | {"rows": softmins["row"], "columns": softmins["column"]}
+
+
+#: Where the control of a problem stands, before the two halves of its radius.
+CONTROL = PROBLEM.index("CONTROL")
 SLOTS = Slots(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
 
 
 class HalfSteps(ResidentSteps):
-    """Iterations over all pairs of points."""
+    """Iterations over all pairs of points, of one problem or of many."""
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         super().__init__(loop.work, take_turns)
         self._loop = loop
         self._bound: dict[Any, BoundKernels] = {}
 
+    def _fits(self, pairs: Any) -> bool:
+        """Return whether the device can iterate over so many pairs of points of each problem."""
+        is_processor = self._work.device.type & cl.device_type.CPU
+        most = MOST_PAIRS if is_processor else MOST_PAIRS_ELSEWHERE
+        suits = Variant("half_steps.cl").suits(self._loop.constants)
+        return bool(suits and np.max(pairs) <= most and np.sum(pairs) <= MOST_OF_MANY)
+
     def start_iteration(
         self, rows: Cloud, columns: Cloud, weights: tuple[Float64, Float64],
         inverse_rho: tuple[float, float],
     ) -> DeviceIteration | None:  # fmt: skip
         """Put the vectors of an iteration on the device, or return None."""
-        loop, work = self._loop, self._loop.work
         tiles = len(rows.centers), len(columns.centers)
-        is_processor = work.device.type & cl.device_type.CPU
-        most = MOST_PAIRS if is_processor else MOST_PAIRS_ELSEWHERE
-        if (
-            not Variant("half_steps.cl").suits(loop.constants)
-            or tiles[0] * tiles[1] > KEPT_LEVELS
-            or rows.stride * columns.stride > most
-        ):
+        if tiles[0] * tiles[1] > KEPT_LEVELS or not self._fits(rows.stride * columns.stride):
             return None
         differences = rows.centers[:, None] - columns.centers
         costs = 0.5 * np.einsum("pqd,pqd->pq", differences, differences)
+        masses = weights[0][rows.order], weights[1][columns.order]
+        table = np.zeros((1, len(PROBLEM)), np.uint32)
+        table[:, [PROBLEM.index("N"), PROBLEM.index("M")]] = rows.stride, columns.stride
+        arguments = self._given((rows, columns), masses, inverse_rho, 1, costs.size, (None, None))
+        for name, values in (("row_costs", costs), ("column_costs", costs.T)):
+            arguments[name] = self._work.buffer(values, np.float64)
+        arguments["n_listed"] = np.uint32(0)
+        return DeviceIteration(self, SLOTS, (rows, columns), arguments, table=table)
+
+    def start_batch_iteration(
+        self, rows: Batch, columns: Batch, weights: tuple[Float64, Float64],
+        inverse_rho: tuple[float, float],
+    ) -> DeviceIteration | None:  # fmt: skip
+        """Put the vectors of iterations of many problems on the device, or return None."""
+        tile, sides = self._loop.constants.tile, (rows, columns)
+        if not self._fits(rows.tiles * columns.tiles * tile**2):
+            return None
+        masses = []
+        for side, own in zip(sides, weights, strict=True):
+            within = runs(np.zeros_like(side.tiles), side.tiles * tile)
+            padded = within >= np.repeat(side.counts, side.tiles * tile)
+            masses.append(np.where(padded, 0.0, own[side.cloud.order]))
+        pairs = pairs_of(rows, columns), pairs_of(columns, rows)
+        clouds = rows.cloud, columns.cloud
+        arguments = self._given(
+            clouds, (masses[0], masses[1]), inverse_rho, len(rows.counts), len(pairs[0].tiles),
+            pairs,
+        )  # fmt: skip
+        made = BatchIteration(self, SLOTS, clouds, arguments)
+        table = np.zeros((len(rows.counts), len(PROBLEM)), np.uint32)
+        for side, first in zip(sides, ("FIRST_ROW", "FIRST_COLUMN"), strict=True):
+            table[:, PROBLEM.index(first)] = side.first_tiles * tile
+
+        def some(left: NDArray[np.bool_]) -> None:
+            """List the pairs of tiles of the problems that are left."""
+            blocks = np.where(left, rows.tiles * columns.tiles, 0)
+            table[:, PROBLEM.index("FIRST_PAIR")] = np.cumsum(blocks) - blocks
+            for side, field in zip(sides, ("N", "M"), strict=True):
+                table[:, PROBLEM.index(field)] = np.where(left, side.tiles * tile, 0)
+            made.arguments["n_listed"] = np.uint32(blocks.sum())
+            for own, side, others, listed in (
+                ("row", rows, columns, pairs[0]), ("column", columns, rows, pairs[1])
+            ):  # fmt: skip
+                there = np.repeat(left, side.tiles)
+                per_tile = np.where(there, np.repeat(others.tiles, side.tiles), 0)
+                kept = np.repeat(there, np.diff(listed.starts))
+                own_tiles = np.repeat(np.arange(len(there)), per_tile)
+                differences = side.cloud.centers[own_tiles]
+                differences = differences - others.cloud.centers[listed.tiles[kept]]
+                buffer = self._work.buffer
+                made.arguments |= {
+                    f"{own}_starts": buffer(np.append(0, np.cumsum(per_tile)), np.uint32),
+                    f"{own}_listed": buffer(listed.tiles[kept], np.uint32),
+                    f"{own}_costs": buffer(
+                        0.5 * np.einsum("qd,qd->q", differences, differences), np.float64
+                    ),
+                }
+            made.version += 1
+
+        some(np.ones(len(table), bool))
+        return made.begin(table, (rows.counts, columns.counts), some)
+
+    def _given(
+        self,
+        clouds: tuple[Cloud, Cloud],
+        masses: tuple[Float64, Float64],
+        inverse_rho: tuple[float, float],
+        count: int,
+        n_pairs: int,
+        lists: tuple[TilePairs | None, TilePairs | None],
+    ) -> dict[str, Any]:
+        """Return the arguments of `count` problems with so many pairs of tiles."""
+        loop, work, (rows, columns) = self._loop, self._work, clouds
+        tiles = len(rows.centers), len(columns.centers)
         sides = []
-        for cloud, masses, slots in (
-            (rows, weights[0], len(ROW_SLOTS)),
-            (columns, weights[1], len(COLUMN_SLOTS) - 2 + 2 * MEMORY),
+        for cloud, own, slots in (
+            (rows, masses[0], len(ROW_SLOTS)),
+            (columns, masses[1], len(COLUMN_SLOTS) - 2 + 2 * MEMORY),
         ):
             vectors = np.zeros((slots, cloud.stride))
             n = len(cloud)
-            own = masses[cloud.order]
             with np.errstate(divide="ignore"):
                 logarithms = np.log(own)
             given = own, logarithms, cloud.own_costs, cloud.offsets, cloud.log2_weights
@@ -108,29 +198,29 @@ class HalfSteps(ResidentSteps):
                 vectors[GIVEN.index(name), n:] = vectors[GIVEN.index(name), n - 1]
             sides.append(work.buffer(vectors, np.float64))
         longest = max(rows.stride, columns.stride)
-        shares = loop.column_shares(rows, columns), loop.column_shares(columns, rows)
+        shares = (
+            loop.column_shares(rows, columns, lists[0]), loop.column_shares(columns, rows, lists[1])
+        )  # fmt: skip
         n_bytes = {
             "maxima": 4 * max(shares) * longest, "sums": 4 * max(shares) * longest,
-            "logits": 8 * longest, "levels": 8 * tiles[0] * tiles[1],
+            "logits": 8 * longest, "levels": 8 * n_pairs,
             "start": 8 * columns.stride, "row_level": 8 * tiles[0], "column_level": 8 * tiles[1],
-            "tile_max": 8 * max(tiles), "products": 8 * MEMORY**2, "numbers": 8 * len(NUMBERS),
+            "tile_max": 8 * max(tiles), "products": 8 * MEMORY**2 * count,
+            "numbers": 8 * len(NUMBERS) * count, "problems": 4 * len(PROBLEM) * count,
         }  # fmt: skip
         numbers = {
             "none": 0, "n": rows.stride, "m": columns.stride, "row_tiles": tiles[0],
             "column_tiles": tiles[1], "row_shares": shares[0], "column_shares": shares[1],
         }  # fmt: skip
-        arguments = {
+        return {
             **{name: work.empty(size) for name, size in n_bytes.items()},
             **{name: np.uint32(number) for name, number in numbers.items()},
             "rows": sides[0], "columns": sides[1],
-            "row_costs": work.buffer(costs, np.float64),
-            "column_costs": work.buffer(costs.T, np.float64),
             "row_shifts": rows.shifts_buffer, "row_centers": rows.centers_buffer,
             "column_shifts": columns.shifts_buffer, "column_centers": columns.centers_buffer,
             "inverse_rho_source": np.float64(inverse_rho[0]),
             "inverse_rho_target": np.float64(inverse_rho[1]),
         }  # fmt: skip
-        return DeviceIteration(self, SLOTS, (rows, columns), arguments)
 
     def _begin(self, iteration: DeviceIteration, g: Float64) -> dict[str, Float64]:
         columns = iteration.sides[1]
@@ -139,33 +229,48 @@ class HalfSteps(ResidentSteps):
     def _in_order(self, side: Cloud, values: Float64) -> Float64:
         return unsort(side, values)
 
+    def _tell(
+        self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any,
+        prepare: bool,
+    ) -> list[cl.Event]:  # fmt: skip
+        table = iteration.table
+        table[:, CONTROL] = control
+        if iteration.needs_radius(radius):
+            bits = iteration.of_all(radius).view(np.uint64)
+            table[:, CONTROL + 1], table[:, CONTROL + 2] = bits & 0xFFFFFFFF, bits >> 32
+        buffer = iteration.arguments["problems"]
+        return [cl.enqueue_copy(self._work.queue, buffer, table, is_blocking=False)]
+
     def _measured(self, iteration: DeviceIteration) -> contextlib.AbstractContextManager[None]:
         loop, (rows, columns) = self._loop, iteration.sides
-        kernel = loop.kernel("log_sum_exp.cl", "log_sum_exp", rows, iteration.precise)
-        return loop.budget(kernel).measure(2 * rows.stride * columns.stride)
+        listed = int(iteration.arguments["n_listed"])
+        kernel = loop.kernel("log_sum_exp.cl", "log_sum_exp", rows, iteration.precise, listed > 0)
+        pairs = listed * loop.constants.tile**2 or rows.stride * columns.stride
+        return loop.budget(kernel).measure(2 * pairs)
 
     def _launches(self, iteration: DeviceIteration, prepare: bool) -> Iterator[Launch]:
         constants, (rows, columns) = self._loop.constants, iteration.sides
-        group = (constants.group,)
+        group, whole = (constants.group,), (constants.group * len(iteration.table),)
         if prepare:
-            yield "prepare_rows", group, group
+            yield "prepare_rows", whole, group
         for softmin, step, own, shares in (
             ("rows", "row_step", rows, "row_shares"),
             ("columns", "column_step", columns, "column_shares"),
         ):
             size = own.stride // constants.width, int(iteration.arguments[shares])
             yield softmin, size, (constants.group, 1)
-            yield step, group, group
+            yield step, whole, group
 
     def _kernels(self, iteration: DeviceIteration) -> BoundKernels:
         dimension, precise = iteration.sides[0].centers.shape[1], iteration.precise
-        programs, key = self._loop.programs, (dimension, precise)
+        listed = isinstance(iteration, BatchIteration)
+        programs, key = self._loop.programs, (dimension, precise, listed)
         if key not in self._bound:
             kernels = programs.kernels(Variant("half_steps.cl"))
             for side in ("rows", "columns"):
-                own = programs.kernels(Variant("log_sum_exp.cl", dimension, precise))
+                own = programs.kernels(Variant("log_sum_exp.cl", dimension, precise, listed))
                 kernels[side] = own["log_sum_exp"]
-            self._bound[key] = BoundKernels(kernels, ARGUMENTS)
+            self._bound[key] = BoundKernels(kernels, _arguments(listed))
         return self._bound[key]
 
     def _scalars(self, iteration: DeviceIteration) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.opencl.kernels.launches import Workspace
@@ -42,31 +43,58 @@ class DeviceIteration:
     arguments: dict[str, Any]
     epsilon: float = 0.0
     precise: bool = False
+    table: Any = None  #: (problems, fields), what kernels are told of each problem
+    version: int = 0  #: changes with the buffers among the arguments
+    radius: Any = None  #: the trust radius that kernels have been told
 
     def __post_init__(self) -> None:
-        self.numbers = np.zeros(len(self.slots.numbers))
+        self.numbers: Float64 = np.zeros(len(self.slots.numbers))
         self._images, self._guesses = map(self.slots.columns.index, ("IMAGE_0", "GUESS_0"))
-        self._parity = 0  # which of two slots the next image has
+        self._parity: Any = 0  # which of two slots the next image has
         self.go_to_start()
 
     @property
-    def image(self) -> int:
-        """The slot of the last iteration's image."""
-        return self._images + self._parity
+    def image_slots(self) -> tuple[int, ...]:
+        """The slots that hold the last iteration's images."""
+        return (self._images + self._parity,)
+
+    def chosen(
+        self, f: Float64, images: list[Float64], t_columns: Float64
+    ) -> tuple[Float64, Float64, Float64]:
+        """Return f, the image of g, and T(f), from what has been read of all slots."""
+        return f, images[0], t_columns
 
     def go_to_start(self) -> None:
         """Take the host's potential as the next one."""
         #: The slots of the next g, and of that for which a softmin is prepared; -1 if none is.
-        self.at, self.prepared = self.slots.columns.index("START"), -1
+        self.at: Any = self.slots.columns.index("START")
+        self.prepared: Any = -1
 
-    def go_on(self, extrapolated: bool) -> None:
+    def go_on(self, extrapolated: Any, which: Any = True) -> None:
         """Take the last iteration's guess, or its image, as the next potential."""
         self.at = (self._guesses if extrapolated else self._images) + self._parity
         self._parity = 1 - self._parity
 
-    def go_back(self) -> None:
+    def go_back(self, which: Any = True) -> None:
         """Drop the last iteration, and take the image of the one before as the next potential."""
         self.at = self._images + 1 - self._parity
+
+    def needs_radius(self, radius: Any) -> bool:
+        """Return whether kernels have not been told of this trust radius, and note it."""
+        before, self.radius = self.radius, radius
+        return bool(before != radius)
+
+    def of_all(self, values: Any) -> Float64:
+        """Return a number of the only problem as an array of such numbers."""
+        return np.full(1, values, float)
+
+    def keep(self, problems: NDArray[np.intp]) -> None:
+        """Go on with the only problem."""
+
+    @property
+    def is_unprepared(self) -> bool:
+        """Whether the next iteration has to prepare its first softmin."""
+        return bool(self.prepared != self.at)
 
     def read(self) -> IterationNumbers:
         """Return the last iteration's numbers, and note which softmin is prepared."""
@@ -78,21 +106,124 @@ class DeviceIteration:
             found["ROW_FINITE"] == 0 and found["COLUMN_FINITE"] == 0, found.get("MOVED", 0.0),
         )  # fmt: skip
 
-    def control(self, begun: bool, place: int, count: int) -> np.uint32:
-        """Return what kernels need to know of an iteration; see ``cl_kernels/half_steps.cl``."""
-        return np.uint32(self.at | self._parity << 6 | int(begun) << 7 | place << 8 | count << 12)
+    def control(self, begun: Any, place: Any, count: Any) -> Any:
+        """Return what kernels need to know of an iteration; see ``cl_kernels/vector_steps.cl``."""
+        return self.at | self._parity << 6 | begun << 7 | place << 8 | count << 12
 
     def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
         """Set the potential at which the next iteration begins."""
         self.steps.set_potential(self, g, epsilon, precise)
 
-    def iterate(self, begun: bool, place: int, count: int, radius: float) -> IterationNumbers:
+    def iterate(self, begun: Any, place: Any, count: Any, radius: Any) -> IterationNumbers:
         """Run one iteration, with one wait."""
         return self.steps.iterate(self, begun, place, count, radius)
 
     def potentials(self) -> tuple[Float64, Float64, Float64]:
         """Return f, the image of g, and T(f) after the last iteration."""
         return self.steps.potentials(self)
+
+
+class BatchIteration(DeviceIteration):
+    """Iterations of many problems on the device; each stops by itself.
+
+    sides: the clouds of all problems, as `clouds.Cloud`.
+
+    `keep` leaves some of the problems, in their order; numbers are theirs.
+    """
+
+    def begin(
+        self,
+        table: NDArray[np.uint32],
+        counts: tuple[NDArray[np.int64], NDArray[np.int64]],
+        lists: Callable[[NDArray[np.bool_]], None],
+    ) -> "BatchIteration":
+        """Take lines and counts of the problems, and a function that lists the tiles of some."""
+        self.table, self._counts, self._list = table, counts, lists
+        self._here = np.arange(len(table))
+        self.numbers = np.zeros((len(table), len(self.slots.numbers)))
+        self._parity = np.zeros(len(table), np.int64)
+        self.go_to_start()
+        return self
+
+    def go_to_start(self) -> None:
+        """Take the host's potentials, of all problems, as the next ones."""
+        if self.table is None:
+            return
+        if len(self._here) < len(self.table):
+            self._here = np.arange(len(self.table))
+            self._list(np.ones(len(self.table), bool))
+        self.at = np.full(len(self.table), self.slots.columns.index("START"))
+        self.prepared = -1
+
+    def go_on(self, extrapolated: Any, which: Any = True) -> None:
+        """Take the guesses, or the images, of some problems as the next potentials."""
+        here = self._here[np.broadcast_to(which, self._here.shape)]
+        taken = np.where(extrapolated, self._guesses, self._images)
+        taken = np.broadcast_to(taken, self._here.shape)
+        self.at[self._here] = np.where(which, taken + self._parity[self._here], self.at[self._here])
+        self._parity[here] = 1 - self._parity[here]
+
+    def go_back(self, which: Any = True) -> None:
+        """Drop the last iteration of some problems, which go on at the images before."""
+        here = self._here[np.broadcast_to(which, self._here.shape)]
+        self.at[here] = self._images + 1 - self._parity[here]
+
+    @property
+    def is_unprepared(self) -> bool:
+        """Whether the next iteration has to prepare the first softmin of any problem."""
+        return bool(np.any((self.prepared != self.at)[self._here]))
+
+    def control(self, begun: Any, place: Any, count: Any) -> Any:
+        """Return what kernels need to know of an iteration of each problem."""
+        own = (self.of_all(each).astype(np.int64) for each in (begun, place, count))
+        return super().control(*own)
+
+    def needs_radius(self, radius: Any) -> bool:
+        """Return that problems have radii of their own."""
+        return True
+
+    def of_all(self, values: Any) -> Float64:
+        """Return numbers of the problems that are left as such of all problems."""
+        own = np.zeros(len(self.table))
+        own[self._here] = values
+        return own
+
+    def read(self) -> IterationNumbers:
+        """Return the last iteration's numbers, and note which softmins are prepared."""
+        found = dict(zip(self.slots.numbers, self.numbers[self._here].T, strict=True))
+        self.prepared = self._parity + np.where(
+            self.numbers[:, self.slots.numbers.index("FOUND")] != 0, self._guesses, self._images
+        )
+        return IterationNumbers(
+            found["MASS"], found["ROW_DUAL"], found["RESIDUAL_SIZE"], found["COLUMN_DUAL"],
+            found["FOUND"] != 0, found["CUT"] != 0,
+            (found["ROW_FINITE"] == 0) & (found["COLUMN_FINITE"] == 0), np.zeros(len(self._here)),
+        )  # fmt: skip
+
+    @property
+    def image_slots(self) -> tuple[int, ...]:
+        """Both slots of images: problems may have either one."""
+        return self._images, self._images + 1
+
+    def chosen(
+        self, f: Float64, images: list[Float64], t_columns: Float64
+    ) -> tuple[Float64, Float64, Float64]:
+        """Return f, the image of g, and T(f) of the problems that are left."""
+        here = np.zeros(len(self.table), bool)
+        here[self._here] = True
+        of_rows, of_columns = (np.repeat(here, counts) for counts in self._counts)
+        parity = np.repeat(self._parity, self._counts[1])
+        image = np.where(parity, *(each[: len(parity)] for each in images[::-1]))
+        n, m = len(of_rows), len(of_columns)  # points that pad tiles come after all others
+        return f[:n][of_rows], image[of_columns], t_columns[:m][of_columns]
+
+    def keep(self, problems: NDArray[np.int64]) -> None:
+        """Go on with some of the problems."""
+        self._here = self._here[problems]
+        left = np.zeros(len(self.table), bool)
+        left[self._here] = True
+        self._list(left)
+        self.prepared = -1  # levels have the order of the lists
 
 
 class BoundKernels:
@@ -110,7 +241,7 @@ class BoundKernels:
             for number, name in enumerate(names):
                 self._places.setdefault(name, []).append((kernels[kernel], number))
         self._iteration: weakref.ref[DeviceIteration] | None = None
-        self._epsilon = 0.0
+        self._epsilon, self._version = 0.0, 0
         self._scalars: dict[str, bytes] = {}
 
     def bind(
@@ -120,11 +251,12 @@ class BoundKernels:
 
         scalars: a function that returns arguments which follow from epsilon.
         """
-        if self._iteration is None or self._iteration() is not iteration:
+        bound = None if self._iteration is None else self._iteration()
+        if bound is not iteration or self._version != iteration.version:
             self._iteration, self._epsilon = None, 0.0
             for name in self._places.keys() & iteration.arguments.keys():
                 self.set(name, iteration.arguments[name])
-            self._iteration = weakref.ref(iteration)
+            self._iteration, self._version = weakref.ref(iteration), iteration.version
         if self._epsilon != iteration.epsilon:
             self._epsilon = 0.0
             for name, value in scalars(iteration).items():
@@ -183,6 +315,13 @@ class ResidentSteps(ABC):
         epsilon = iteration.epsilon
         return {"k": np.float64(LOG2_E / epsilon), "epsilon": np.float64(epsilon)}
 
+    @abstractmethod
+    def _tell(
+        self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any,
+        prepare: bool,
+    ) -> list[cl.Event]:  # fmt: skip
+        """Tell kernels of the next iteration, and return what they have to wait for."""
+
     def _measured(self, iteration: DeviceIteration) -> contextlib.AbstractContextManager[None]:
         """Return a context in which the launches of an iteration are timed."""
         return contextlib.nullcontext()
@@ -198,21 +337,17 @@ class ResidentSteps(ABC):
             cl.enqueue_copy(self._work.queue, buffer, content, is_blocking=True)
 
     def _iterate(
-        self, iteration: DeviceIteration, begun: bool, place: int, count: int, radius: float
+        self, iteration: DeviceIteration, begun: Any, place: Any, count: Any, radius: Any
     ) -> IterationNumbers:
         """Enqueue one iteration, wait for it, and return its numbers."""
         check_cancelled()
         queue, bound = self._work.queue, self._kernels(iteration)
         bound.bind(iteration, self._scalars)
-        control = iteration.control(begun, place, count)
-        prepare, iteration.prepared = iteration.prepared != iteration.at, -1
-        if prepare:
-            bound.set("first_control", control)
-        bound.set("control", control)
-        bound.set("radius", np.float64(radius))
-        events: list[cl.Event] = []
+        prepare, iteration.prepared = iteration.is_unprepared, -1
+        control, events = iteration.control(begun, place, count), list[cl.Event]()
         with self._measured(iteration):
             try:
+                events += self._tell(iteration, bound, control, radius, prepare)
                 for name, size, group in self._launches(iteration, prepare):
                     kernel, before = bound.kernels[name], events[-1:]
                     events.append(
@@ -235,7 +370,8 @@ class ResidentSteps(ABC):
         """Return f, the image of g, and T(f) after the last iteration."""
         slots, found, events = iteration.slots, [], []
         places = (
-            (0, "rows", slots.rows.index("SHIFTED")), (1, "columns", iteration.image),
+            (0, "rows", slots.rows.index("SHIFTED")),
+            *((1, "columns", slot) for slot in iteration.image_slots),
             (1, "columns", slots.columns.index("SOFTMIN")),
         )  # fmt: skip
         try:
@@ -251,8 +387,8 @@ class ResidentSteps(ABC):
         finally:
             if events:
                 cl.wait_for_events(events)
-        f, g, t_columns = (
+        f, *images, t_columns = (
             self._in_order(iteration.sides[side], values)
             for (side, *_), values in zip(places, found, strict=True)
         )
-        return f, g, t_columns
+        return iteration.chosen(f, images, t_columns)

@@ -29,6 +29,7 @@ def tile_order(
     everyone = np.arange(count)
     order, columns = everyone, points.T.copy()
     bounds = np.array([0, count]) if counts is None else np.append(0, np.cumsum(counts))
+    firsts = bounds[:-1]
     while True:
         counts = np.diff(bounds)
         unit = size if part is None else np.where(counts > size, size, part)
@@ -43,6 +44,10 @@ def tile_order(
         side = sides[axis, number]
         scale = np.zeros(len(counts))
         np.divide(2**PLACE_BITS - 1, side, out=scale, where=side > 1e-290)
+        # A cloud that is done keeps its order, which is then that of this cloud alone.
+        segments = np.searchsorted(starts, firsts)
+        left = np.maximum.reduceat(units, segments) > 1
+        scale *= np.repeat(left, np.diff(np.append(segments, len(starts))))
         places = columns.ravel().take(np.repeat(axis * count, counts) + everyone)
         places -= np.repeat(low[axis, number], counts)
         places *= np.repeat(scale, counts)
