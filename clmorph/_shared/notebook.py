@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 #: CSS pixels to which a small picture is enlarged, along its longer side.
 SHOWN = 360
+#: Pixels along the longer side to which a large picture is reduced, so that notebooks stay small.
+LARGEST = 1024
 #: Cells of a table that is drawn, along a side.
 CELLS = 128
 #: The darkest shade of a table, in sRGB of 8 bits.
@@ -16,11 +18,12 @@ DARKEST = np.array([0, 68, 119])
 
 
 def png(pixels: NDArray[np.uint8]) -> bytes:
-    """Return a picture (H, W, 3 or 4) as the bytes of a PNG file."""
+    """Return a picture (H, W, 3 or 4) as the bytes of a PNG file; large ones are reduced."""
     from PIL import Image
 
-    file = BytesIO()
-    Image.fromarray(pixels).save(file, format="PNG")
+    file, image = BytesIO(), Image.fromarray(pixels)
+    image.thumbnail((LARGEST, LARGEST), Image.Resampling.LANCZOS)
+    image.save(file, format="PNG")
     return file.getvalue()
 
 
@@ -40,7 +43,8 @@ def picture(pixels: NDArray[np.uint8], caption: str) -> str:
     """Return a picture (H, W, 3 or 4) with a line below it; small ones are enlarged."""
     height, width = pixels.shape[:2]
     factor = max(1, SHOWN // max(height, width))
-    return figure(png(pixels), caption, width=factor * width, sharp=factor > 1)
+    enlarged = factor * width if factor > 1 else None
+    return figure(png(pixels), caption, width=enlarged, sharp=factor > 1)
 
 
 def table(

@@ -159,3 +159,5 @@ def test_small_pictures_are_enlarged_as_squares():
     assert "pixelated" in html
     large = notebook.picture(np.zeros((4, 800, 3), np.uint8), "x")
     assert "pixelated" not in large
+    huge, _ = shown(notebook.picture(np.zeros((30, 4096, 3), np.uint8), "x"))
+    assert huge.shape == (8, notebook.LARGEST, 3)
