@@ -1,10 +1,11 @@
 """The command ``clmorph``."""
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 from click.core import ParameterSource
@@ -13,6 +14,7 @@ from clmorph._shared.signals import terminable
 from clmorph._shared.version import __version__
 from clmorph.cli import config as files
 from clmorph.cli import options
+from clmorph.cli.more_commands import batch, check, completion, demo, devices, studio, tune
 from clmorph.cli.reporting import run
 from clmorph.errors import InputError, OptionWarning
 from clmorph.images.pixels import MAX_PIXELS
@@ -20,8 +22,9 @@ from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.options import MorphOptions, preset_options
 from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS, drafted
 
-#: Shells for which completion is supported.
-SHELLS = ("bash", "zsh", "fish")
+if TYPE_CHECKING:
+    from clmorph.cli.request import Request
+
 #: Meanings of the exit codes; the help shows them.
 EXIT_CODES = """\
 Exit codes: 0 done; 1 no device is usable (devices), one is out of tolerance (check), or a pair
@@ -147,25 +150,7 @@ def _pictures(images: tuple[Path, ...], config: files.Found | None) -> tuple[Pat
 @options.max_pixels_option
 @options.device_options
 @click.pass_context
-def morph(
-    context: click.RichContext,
-    /,
-    images: tuple[Path, ...],
-    output: tuple[Path, ...],
-    preset: str | None,
-    draft: bool,
-    config: files.Found | None,
-    dump_config: bool,
-    as_json: bool,
-    device: str | None,
-    backend: str | None,
-    format: str | None,
-    recipe: bool | None,
-    labels: tuple[Path, ...] | None,
-    features: tuple[Path, ...] | None,
-    max_pixels: int | None,
-    **given: Any,
-) -> None:
+def morph(context: click.RichContext, /, **given: Any) -> None:
     """Morph picture A into picture B, and on to C, D and so forth.
 
     \b
@@ -178,87 +163,119 @@ def morph(
 
     Options that are not given are those of the preset.
     """  # noqa: D301
-    from clmorph.cli.morph import Request, announce_changes, announce_idle, run_morph
+    from clmorph.cli.morph import announce_idle, run_morph
 
-    line = options.given_options(given)
-    options_of = _options(context, draft, config, line)
-    # Recipes hold all options, so nothing is left to a preset.
-    foreign = config is not None and not config.named.own
-    auto = preset == AUTO or (preset is None and not foreign)
-    chosen = options_of(None if auto else preset)
-    images = _pictures(images, config)
-    beside = {"labels": labels or (), "features": features or ()}
-    if config is not None:
-        for name, files_of in config.beside.items():
-            if not beside[name] and files_of.entries == [AUTO, AUTO]:
-                beside[name] = AUTO_LABELS
-            elif not beside[name]:
-                named = files_of.images()
-                beside[name] = tuple(path for path, _ in named)
-                announce_changes(named)
+    config, line = given["config"], options.given_options(given)
+    options_of, auto = _options(context, given, line)
+    images, beside = _pictures(given["images"], config), _beside(given, config)
+    if given["dump_config"]:
+        _dump(given, images, beside, options_of, auto)
+        return
     if context.get_parameter_source("output") is ParameterSource.COMMANDLINE and (
         context.get_parameter_source("format") is not ParameterSource.COMMANDLINE
     ):
-        format = None  # the file's format applies only to the output that the file names
-    most = MAX_PIXELS if max_pixels is None else max_pixels
-    if dump_config:
-        if auto and images and all(path.is_file() for path in images):
-            from clmorph.cli.common import read_picture
-            from clmorph.pipeline.prepare import as_images, recognized
-
-            pictures = as_images([read_picture(path, most) for path in images])
-            chosen = options_of(recognized(pictures))
-        elif auto:
-            from clmorph.cli.terminal import note
-
-            note("these are the options for photographs: name pictures for those that they choose")
-        own = {"format": format, "recipe": recipe, "max_pixels": most}
-        settings = {name: value for name, value in own.items() if value is not None}
-        # TOML is UTF-8, independent of the terminal's encoding.
-        click.echo(
-            files.as_toml(chosen.outside() | settings, images, beside).encode("utf-8"), nl=False
-        )
-        return
-    if len(images) < 2:
-        raise InputError(
-            f"{_counted(images)}: expected two or more, as in clmorph morph a.png b.jpg -o out.gif"
-        )
-    if not output:
-        raise InputError("no output given: expected -o with a name, such as -o out.gif")
-    announce_idle(list(line), output, format)
-    # A limit that the user repeats on the command line counts as the user's own.
-    run_morph(
-        Request(
-            images, output, chosen, options_of if auto else None, format=format,
-            recipe=bool(recipe), max_pixels=most, **beside,
-            config=None if config is None else config.named.file,
-            capped=foreign and "max_memory" not in line,
-        ),
-        device=device, backend=backend, as_json=as_json,
+        given["format"] = None  # the file's format applies only to the output that it names
+    request = _request(
+        given, options_of(None if auto else given["preset"]), images,
+        "morph a.png b.jpg -o out.gif", beside=beside, options_of=options_of if auto else None,
+        # A limit that the user repeats on the command line counts as the user's own.
+        capped=config is not None and not config.named.own and "max_memory" not in line,
     )  # fmt: skip
+    announce_idle(list(line), request.outputs, request.format)
+    run_morph(request)
+
+
+def _dump(
+    given: dict[str, Any],
+    images: Sequence[Path],
+    beside: dict[str, Sequence[Path]],
+    options_of: Callable[[str | None], MorphOptions],
+    auto: bool,
+) -> None:
+    """Print all options as TOML."""
+    most, preset = given["max_pixels"] or MAX_PIXELS, None if auto else given["preset"]
+    if auto and images and all(path.is_file() for path in images):
+        from clmorph.cli.common import read_picture
+        from clmorph.pipeline.prepare import as_images, recognized
+
+        preset = recognized(as_images([read_picture(path, most) for path in images]))
+    elif auto:
+        from clmorph.cli.terminal import note
+
+        note("these are the options for photographs: name pictures for those that they choose")
+    own = {"format": given["format"], "recipe": given["recipe"], "max_pixels": most}
+    settings = {name: value for name, value in own.items() if value is not None}
+    text = files.as_toml(options_of(preset).outside() | settings, images, beside)
+    # TOML is UTF-8, independent of the terminal's encoding.
+    click.echo(text.encode("utf-8"), nl=False)
 
 
 def _options(
-    context: click.Context,
-    draft: bool,
-    config: files.Found | None,
-    line: dict[str, Any],
-) -> Callable[[str | None], MorphOptions]:
+    context: click.Context, given: dict[str, Any], line: dict[str, Any]
+) -> tuple[Callable[[str | None], MorphOptions], bool]:
     """Join a preset, the file of settings and the command line; the command line wins.
 
-    The result is a function of the preset's name.
+    The result is a function of the preset's name, and whether the pictures choose the preset.
     """
+    config, preset = given["config"], given["preset"]
     file = {} if config is None else config.options
-    given = context.get_parameter_source("preset") is ParameterSource.COMMANDLINE
+    wins = context.get_parameter_source("preset") is ParameterSource.COMMANDLINE
+    # Recipes hold all options, so nothing is left to a preset.
+    foreign = config is not None and not config.named.own
 
     def options_of(name: str | None) -> MorphOptions:
         chosen = preset_options(name)
-        below = MorphOptions.layered((file, chosen) if given else (chosen, file))
-        if draft:
+        below = MorphOptions.layered((file, chosen) if wins else (chosen, file))
+        if given["draft"]:
             below |= drafted(below)
         return MorphOptions(**MorphOptions.layered((below, line)))
 
-    return options_of
+    return options_of, preset == AUTO or (preset is None and not foreign)
+
+
+def _beside(given: dict[str, Any], config: files.Found | None) -> dict[str, Sequence[Path]]:
+    """Return the files beside the pictures, of the command line or else of the settings."""
+    from clmorph.cli.morph import announce_changes
+
+    found: dict[str, Sequence[Path]] = {}
+    for name in ("labels", "features", "mask"):
+        line, file = given.get(name), None if config is None else config.beside.get(name)
+        if line:
+            found[name] = (line,) if name == "mask" else line
+        elif file is not None and file.entries == [AUTO, AUTO]:
+            found[name] = AUTO_LABELS
+        elif file is not None:
+            named = file.images()
+            announce_changes(named)
+            found[name] = tuple(path for path, _ in named)
+    return found
+
+
+def _request(
+    given: dict[str, Any],
+    chosen: Any,
+    images: tuple[Path, ...],
+    example: str,
+    counts: tuple[int, float] = (2, math.inf),
+    **more: Any,
+) -> "Request":
+    """Return the request of a command, whose number of pictures is checked."""
+    from clmorph.cli.request import Request
+
+    least, most = counts
+    if not least <= len(images) <= most:
+        number = {least: "two", math.inf: "two or more"}.get(most, f"{least} to {most}")
+        raise InputError(f"{_counted(images)}: expected {number}, as in clmorph {example}")
+    if not given["output"]:
+        name = example.split()[-1]
+        raise InputError(f"no output given: expected -o with a name, such as -o {name}")
+    config, most_pixels = given["config"], given["max_pixels"]
+    return Request(
+        images, given["output"], chosen, MAX_PIXELS if most_pixels is None else most_pixels,
+        format=given.get("format"), recipe=bool(given["recipe"]),
+        config=None if config is None else config.named.file, device=given["device"],
+        backend=given["backend"], as_json=given["as_json"], **more,
+    )  # fmt: skip
 
 
 def _counted(images: Sequence[Path]) -> str:
@@ -274,18 +291,8 @@ def _counted(images: Sequence[Path]) -> str:
 @options.rearrange_options
 @options.max_pixels_option
 @options.device_options
-def rearrange(
-    images: tuple[Path, ...],
-    output: tuple[Path, ...],
-    config: files.Found | None,
-    as_json: bool,
-    device: str | None,
-    backend: str | None,
-    format: str | None,
-    recipe: bool | None,
-    max_pixels: int | None,
-    **given: Any,
-) -> None:
+@click.pass_context
+def rearrange(context: click.RichContext, /, **given: Any) -> None:
     """Move the pixels of picture A so that they form picture B, and on to C, D and so forth.
 
     \b
@@ -293,28 +300,15 @@ def rearrange(
     clmorph rearrange a.png b.jpg -o out.mp4 --size 512      larger pictures
     clmorph rearrange a.png b.jpg -o out.gif --color-weight 1  shorter ways, poorer likeness
     """  # noqa: D301
-    from clmorph.cli.rearrange import Request, run_rearrange
+    from clmorph.cli.rearrange import run_rearrange
     from clmorph.pipeline.rearrange_options import RearrangeOptions
 
+    config = given["config"]
     chosen = RearrangeOptions(**({} if config is None else config.options)).replace(
         **options.given_options(given, RearrangeOptions)
     )
-    images = _pictures(images, config)
-    if len(images) < 2:
-        raise InputError(
-            f"{_counted(images)}: expected two or more, as in clmorph rearrange a.png b.jpg -o "
-            "out.gif"
-        )
-    if not output:
-        raise InputError("no output given: expected -o with a name, such as -o out.gif")
-    run_rearrange(
-        Request(
-            images, output, chosen, format, bool(recipe),
-            MAX_PIXELS if max_pixels is None else max_pixels,
-            None if config is None else config.named.file,
-        ),
-        device=device, backend=backend, as_json=as_json,
-    )  # fmt: skip
+    images = _pictures(given["images"], config)
+    run_rearrange(_request(given, chosen, images, "rearrange a.png b.jpg -o out.gif"))
 
 
 @cli.command()
@@ -329,18 +323,8 @@ def rearrange(
 )  # fmt: skip
 @options.max_pixels_option
 @options.device_options
-def recolor(
-    images: tuple[Path, ...],
-    output: tuple[Path, ...],
-    config: files.Found | None,
-    as_json: bool,
-    device: str | None,
-    backend: str | None,
-    recipe: bool | None,
-    mask: Path | None,
-    max_pixels: int | None,
-    **given: Any,
-) -> None:
+@click.pass_context
+def recolor(context: click.RichContext, /, **given: Any) -> None:
     """Give PHOTO the colors of LIKE; every pixel stays in its place.
 
     \b
@@ -349,32 +333,17 @@ def recolor(
     clmorph recolor a.jpg b.jpg -o out.png --reach 0.3        rare colors stay
     clmorph recolor a.jpg b.jpg -o out.tif --mask sky.png     only where it is white
     """  # noqa: D301
-    from clmorph.cli.morph import announce_changes
-    from clmorph.cli.recolor import Request, run_recolor
+    from clmorph.cli.recolor import run_recolor
     from clmorph.pipeline.recolor_options import RecolorOptions
 
+    config = given["config"]
     chosen = RecolorOptions(**({} if config is None else config.options)).replace(
         **options.given_options(given, RecolorOptions)
     )
-    images = _pictures(images, config)
-    if config is not None and mask is None and "mask" in config.beside:
-        named = config.beside["mask"].images()
-        mask = named[0][0]
-        announce_changes(named)
-    if len(images) != 2:
-        raise InputError(
-            f"{_counted(images)}: expected two, as in clmorph recolor photo.jpg like.jpg -o out.png"
-        )
-    if not output:
-        raise InputError("no output given: expected -o with a name, such as -o out.png")
-    run_recolor(
-        Request(
-            images, output, chosen, mask, bool(recipe),
-            MAX_PIXELS if max_pixels is None else max_pixels,
-            None if config is None else config.named.file,
-        ),
-        device=device, backend=backend, as_json=as_json,
-    )  # fmt: skip
+    images = _pictures(given["images"], config)
+    example = "recolor photo.jpg like.jpg -o out.png"
+    beside = _beside(given, config)
+    run_recolor(_request(given, chosen, images, example, (2, 2), beside=beside))
 
 
 @cli.command(epilog=_PRESETS)
@@ -396,28 +365,13 @@ def recolor(
 @options.file_options
 @options.preset_option
 @options.draft_option
-@_config_option(partial(files.read_settings, mixes=True))
+@_config_option(partial(files.read_settings, mixes=True), preset=True)
 @options.json_option
 @options.mix_options
 @options.max_pixels_option
 @options.device_options
-def mix(
-    images: tuple[Path, ...],
-    grid: str | None,
-    weights: tuple[str, ...],
-    path: str | None,
-    output: tuple[Path, ...],
-    preset: str | None,
-    draft: bool,
-    config: files.Found | None,
-    as_json: bool,
-    device: str | None,
-    backend: str | None,
-    format: str | None,
-    recipe: bool | None,
-    max_pixels: int | None,
-    **given: Any,
-) -> None:
+@click.pass_context
+def mix(context: click.RichContext, /, **given: Any) -> None:
     """Mix several pictures: a grid of pictures between them, or a film.
 
     \b
@@ -430,24 +384,23 @@ def mix(
     A picture with a single weight is that picture itself, and one with two is a frame of their
     morph. The presets and most options are those of clmorph morph.
     """  # noqa: D301
-    from clmorph.cli.mix import Request, run_mix, weights_of
+    from clmorph.cli.mix import run_mix, weights_of
+    from clmorph.pipeline.mixing.weights import MOST_IMAGES
 
-    images = _pictures(images, config)
-    listed = weights_of(weights, len(images)) if images else None
-    what = {"grid": grid, "weights": listed, "path": path}
+    config = given["config"]
+    options_of, auto = _options(context, given, options.given_options(given))
+    images = _pictures(given["images"], config)
+    listed = weights_of(given["weights"], len(images)) if images else None
+    what = {"grid": given["grid"], "weights": listed, "path": given["path"]}
     shown = {name: value for name, value in what.items() if value}
-    wins = preset is not None
     if config is not None:
         shown = shown or dict(config.mixes)
-        preset = preset or config.preset
-    if preset is None and (config is None or config.named.own):
-        preset = AUTO
     run_mix(
-        Request(
-            images, output, options.given_options(given), preset, draft, shown, format,
-            bool(recipe), MAX_PIXELS if max_pixels is None else max_pixels, config, wins,
-        ),
-        device=device, backend=backend, as_json=as_json,
+        _request(
+            given, options_of(None if auto else given["preset"]), images,
+            "mix a.png b.png c.png d.png -o grid.png", (2, MOST_IMAGES), shown=shown,
+            options_of=options_of if auto else None,
+        )
     )  # fmt: skip
 
 
@@ -497,205 +450,6 @@ def inspect(
     )  # fmt: skip
 
 
-@cli.command()
-@click.argument("jobs", metavar="[JOBS]", required=False)
-@click.option(
-    "-o", "--out", metavar="FOLDER", required=True, panel="File",
-    help="Folder of the outputs, the journal and the index; may be any that fsspec opens.",
-)  # fmt: skip
-@click.option(
-    "--all-pairs", metavar="FOLDER", panel="File",
-    help="Morph each picture of a folder into each later one, in the order of names.",
-)  # fmt: skip
-@click.option(
-    "--chain", metavar="FOLDER", panel="File",
-    help="Morph each picture of a folder into the next one.",
-)  # fmt: skip
-@click.option(
-    "--ending", metavar="TEXT", default=".gif", show_default=True, panel="File",
-    help="Ending of the outputs of --all-pairs and --chain.",
-)  # fmt: skip
-@click.option(
-    "--redo", is_flag=True, panel="File",
-    help="Make outputs again that were made with other options, pictures or devices.",
-)  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, panel="File", help="Print a summary for programs.")
-@click.option(
-    "--config", type=options.FileName(), panel="Settings",
-    help="Options of all pairs, from your own TOML or a recipe; a row's own options win.",
-)  # fmt: skip
-@click.option(
-    "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Settings",
-    help="Set of options of pairs that name none.  [default: auto, for each pair by itself]",
-)  # fmt: skip
-@click.option(
-    "--scheduler", metavar="ADDRESS", panel="Workers",
-    help="A running scheduler of Dask, such as tcp://host:8786, in place of local workers.",
-)  # fmt: skip
-@click.option(
-    "--workers", type=click.IntRange(1, 256), panel="Workers",
-    help="Number of local workers.  [default: one for each physical device]",
-)  # fmt: skip
-@click.option(
-    "--memory", metavar="SIZE", panel="Workers",
-    help="Memory of a local worker, such as 4GB; one that takes more is started again, and its "
-    "pair fails.  [default: equal shares]",
-)  # fmt: skip
-@options.max_pixels_option
-@options.device_options
-def batch(
-    jobs: str | None,
-    out: str,
-    all_pairs: str | None,
-    chain: str | None,
-    ending: str,
-    redo: bool,
-    as_json: bool,
-    config: Path | None,
-    preset: str | None,
-    scheduler: str | None,
-    workers: int | None,
-    memory: str | None,
-    max_pixels: int | None,
-    device: str | None,
-    backend: str | None,
-) -> int:
-    """Morph thousands of pairs on the workers of Dask (extra "dask").
-
-    \b
-    clmorph batch jobs.csv -o folder           columns source, target, output, and any option
-    clmorph batch jobs.json -o folder          a list of objects with these keys
-    clmorph batch --all-pairs pictures -o folder
-    clmorph batch --chain pictures -o folder --ending .webp
-
-    Started again, it does only what is missing. Exit code 1: some pairs have failed.
-    """  # noqa: D301
-    from clmorph.cli.batch import batch_request, run_batch
-
-    return run_batch(
-        batch_request(
-            jobs, out, all_pairs=all_pairs, chain=chain, ending=ending, config=config,
-            preset=preset, scheduler=scheduler, workers=workers, memory=memory, device=device,
-            backend=backend, max_pixels=max_pixels, redo=redo, as_json=as_json,
-        )
-    )  # fmt: skip
-
-
-@cli.command()
-@click.option(
-    "--host", metavar="ADDRESS", default="127.0.0.1", show_default=True,
-    help="Where to listen; any other than this machine's own address needs the token that is "
-    "printed.",
-)  # fmt: skip
-@click.option(
-    "--port", type=click.IntRange(0, 65535), help="Port; 0: a free one.  [default: 8017, or free]"
-)
-@click.option("--browser/--no-browser", default=True, help="Open the page in a browser.")
-@options.device_options
-def studio(
-    host: str, port: int | None, browser: bool, device: str | None, backend: str | None
-) -> None:
-    """Open a local web page to look rather than type (extra "studio").
-
-    \b
-    clmorph studio                       http://127.0.0.1:8017/, for this machine alone
-    clmorph studio --port 0 --no-browser
-    """  # noqa: D301
-    from clmorph.cli.studio import run_studio
-
-    run_studio(host, port, device, backend, browser)
-
-
-@cli.command()
-@options.device_options
-def demo(device: str | None, backend: str | None) -> None:
-    """Morph a bundled sprite into a photograph: clmorph-demo.gif, .html and .png."""
-    from clmorph.cli.common import open_backend
-    from clmorph.cli.demo import run_demo
-    from clmorph.cli.terminal import Stages
-
-    operations = open_backend(device, backend)
-    with Stages() as stages:
-        report = run_demo(operations, Path.cwd(), stages)
-    for line in report:
-        click.echo(line)
-
-
-@cli.command()
-@click.option("--json", "as_json", is_flag=True, help="For programs.")
-@click.option("--again", is_flag=True, help="Try every device anew, and forget what is remembered.")
-def devices(as_json: bool, again: bool) -> int:
-    """List OpenCL devices: which work, why others do not, which one "auto" takes.
-
-    A device that is new is tried in two processes of its own: the programs that most morphs use are
-    built and compared with NumPy, each within 60 s or what CLMORPH_PROBE_SECONDS says (1 to 3600).
-    What the trial says of the device is remembered: that it works, that it crashes, computes
-    wrong results or is refused. What it says of the moment is not (a lack of time or of memory):
-    the device is tried again the next time. "auto" tries devices only up to the first that works.
-    """
-    from clmorph.cli.devices import list_devices
-
-    return list_devices(as_json, again)
-
-
-@cli.command()
-@click.option("--device", metavar="NAME", help="The device to check.  [default: auto's]")
-@click.option("--all", "every", is_flag=True, help="Check every usable device.")
-@click.option(
-    "--kernel",
-    "kernels",
-    metavar="NAME",
-    multiple=True,
-    help="Check only operations that use this kernel or kernel file. Can be repeated.",
-)
-@click.option("--report", type=options.FileName(), help="Write a JSON file to share.")
-def check(device: str | None, every: bool, kernels: tuple[str, ...], report: Path | None) -> int:
-    """Compare a device with NumPy: every operation and one whole morph.
-
-    Ends with 0 if all is within tolerance, else with 1. A device that fails is unusable from then
-    on. With --device it can be checked again, and is tried anew once it passes.
-    """
-    from clmorph.cli.devices import check_devices
-
-    if device is not None and every:
-        raise InputError(f"--device {device} and --all contradict: give one of them")
-    return check_devices(device, every, report, kernels)
-
-
-@cli.command()
-@click.option("--device", metavar="NAME", help="The device to tune.  [default: auto's]")
-@click.option("--all", "every", is_flag=True, help="Tune every usable device.")
-@click.option("--reset", is_flag=True, help="Forget what tuning found.")
-def tune(device: str | None, every: bool, reset: bool) -> None:
-    """Find the fastest kernel constants for a device, and use them from now on.
-
-    Takes a minute or so, mostly for building kernels; without it they are chosen by the
-    kind of device.
-    """
-    from clmorph.cli.devices import tune_devices
-
-    if device is not None and every:
-        raise InputError(f"--device {device} and --all contradict: give one of them")
-    tune_devices(device, every, reset)
-
-
-@cli.command()
-@click.argument("shell", type=click.Choice(SHELLS))
-def completion(shell: str) -> None:
-    """Print what makes a shell complete commands and options.
-
-    \b
-    bash:  eval "$(clmorph completion bash)"           in ~/.bashrc
-    zsh:   eval "$(clmorph completion zsh)"            in ~/.zshrc
-    fish:  clmorph completion fish > ~/.config/fish/completions/clmorph.fish
-    """  # noqa: D301
-    from click.shell_completion import get_completion_class
-
-    kind = get_completion_class(shell)
-    assert kind is not None  # click has all of SHELLS
-    click.echo(kind(cli, {}, "clmorph", "_CLMORPH_COMPLETE").source())
-
-
 def _note(told: set[str], message: Warning | str, *others: Any, **more: Any) -> None:
     """Print a warning as a note, once; else the signature is that of `warnings.showwarning`."""
     from clmorph.cli.common import note_warning
@@ -703,6 +457,10 @@ def _note(told: set[str], message: Warning | str, *others: Any, **more: Any) -> 
     if str(message) not in told:
         told.add(str(message))
         note_warning([], message, *others, **more)
+
+
+for command in (batch, studio, demo, devices, check, tune, completion):
+    cli.add_command(command)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

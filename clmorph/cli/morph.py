@@ -1,37 +1,30 @@
 """The command ``clmorph morph``: it reads pictures and writes one or more output files."""
 
 import itertools
-import json
 import math
-import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable, size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
 from clmorph.cli.common import (
-    beside_entries,
     chosen_preset,
     found_guides,
     found_labels,
     note_misses,
     note_thin,
     note_warning,
-    open_backend,
     read_beside,
-    read_picture,
-    recipe_places,
 )
+from clmorph.cli.request import Request
 from clmorph.cli.terminal import Stages, note, say
 from clmorph.errors import (
     ConvergenceWarning,
@@ -41,7 +34,6 @@ from clmorph.errors import (
     PruningWarning,
 )
 from clmorph.images.detail import is_pixel_art
-from clmorph.images.pixels import MAX_PIXELS
 from clmorph.measures.pixel_blocks import block_side, solved_size
 from clmorph.output.framing import enlargement_note
 from clmorph.output.playback import held_frames, motion_of
@@ -49,45 +41,13 @@ from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.guides import Guided
-from clmorph.pipeline.maps import AUTO_LABELS, NO_MAPS, Maps
+from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import copied_shape, fitted, recognized, takes_copies
-from clmorph.pipeline.recipe import picture_entries, recipe
 from clmorph.pipeline.result import Morph
 from clmorph.transport.potentials import Potentials
-
-
-@dataclass(frozen=True)
-class Request:
-    """The request of the command line."""
-
-    #: Two pictures, or more for a chain of morphs.
-    images: Sequence[Path]
-    outputs: Sequence[Path]
-    options: MorphOptions
-    #: The options by a preset, if the pictures choose it; they replace `options`.
-    options_of: Callable[[str], MorphOptions] | None = None
-    #: The output format, in place of the format of the output's ending.
-    format: str | None = None
-    #: Whether a recipe is written beside each output.
-    recipe: bool = False
-    max_pixels: int = MAX_PIXELS
-    #: The file of settings, which must not be overwritten.
-    config: Path | None = None
-    #: Whether `max_memory` comes from a recipe, which may lower the device's limit but not raise
-    #: it.
-    capped: bool = False
-    #: Files of both pictures, or none.
-    labels: Sequence[Path] = ()
-    features: Sequence[Path] = ()
-
-    @property
-    def beside(self) -> dict[str, Sequence[Path]]:
-        """Files beside the pictures, by what they are; those that are given."""
-        both = {"labels": self.labels, "features": self.features}
-        return {name: paths for name, paths in both.items() if paths}
 
 
 @dataclass
@@ -164,19 +124,15 @@ class _Run:
             yield morph
 
 
-def run_morph(request: Request, *, device: str | None, backend: str | None, as_json: bool) -> None:
+def run_morph(request: Request) -> None:
     """Morph each picture into the next one, write the output files, and print a summary."""
-    began = time.perf_counter()
     outputs, images = request.outputs, request.images
     if request.format is not None and len(outputs) > 1:
         raise InputError("--format is for one output: leave it out, or write one at a time")
     places = [Output(output, request.format) for output in outputs]
-    recipes = recipe_places(outputs) if request.recipe else []
-    labels = () if tuple(request.labels) == AUTO_LABELS else request.labels
-    read = [*images, *labels, *request.features]
-    check_apart([*outputs, *recipes], [*read, *([request.config] if request.config else [])])
+    request.check_files()
     run = _Run(images, request.options, places)
-    whole = [read_picture(path, request.max_pixels) for path in images]
+    whole = request.read()
     preset = None
     if request.options_of is not None:
         preset = recognized(whole)
@@ -187,7 +143,8 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
                 f"--{name} is for two pictures, but {len(whole)} are given: morph them two at a "
                 "time"
             )
-    run.maps = read_beside(request.labels, request.features, request.max_pixels)
+    labels, features = (request.beside.get(name, ()) for name in ("labels", "features"))
+    run.maps = read_beside(labels, features, request.max_pixels)
     run.maps = found_labels(whole, run.maps)
     run.shapes = shapes_of(whole)
     run.guide = found_guides(
@@ -196,7 +153,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     run.options = run.guide.options
     pictures = fitted(whole, run.options)
     note_thin(images, whole, run.options)
-    operations = open_backend(device, backend)
+    operations = request.open()
     if request.capped:
         _cap_memory(run, operations)
     reduced = any(a.shape != b.shape for a, b in zip(whole, pictures, strict=True))
@@ -209,14 +166,8 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
         say(chosen_preset(preset, run.options))
     say(f"{run.memory(pictures, operations)}{shown}")
 
-    def metadata(folder: Path | None = None) -> dict[str, Any]:
-        return recipe(
-            run.options, images=picture_entries(images, folder), device=operations.description,
-            beside=beside_entries(request.beside, folder),
-        )  # fmt: skip
-
     notes: list[Warning] = []
-    with Stages(began) as stages, warnings.catch_warnings():
+    with request.stages() as stages, warnings.catch_warnings():
         stages.count("preparation")
         # The last line reports convergence instead.
         warnings.simplefilter("ignore", ConvergenceWarning)
@@ -228,7 +179,8 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
             reverse=run.options.reverse,
             exact=any(place.format.exact for place in places),
             keep=any(place.format.keep for place in places),
-            pixelated=all(map(is_pixel_art, pictures)), parameters=metadata(),
+            pixelated=all(map(is_pixel_art, pictures)),
+            parameters=request.metadata(run.options, operations),
             folder=places[0].folder, progress=stages,
         ) as film:  # fmt: skip
             gave_way = any(isinstance(each, MemoryWarning) for each in notes)
@@ -236,24 +188,20 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
                 # Particles were reduced to fit into memory. A larger device would not reduce them,
                 # so the recipe must contain the limit.
                 run.options = run.options.replace(max_memory=default_memory(operations))
-                film = replace(film, parameters=metadata())
+                film = replace(film, parameters=request.metadata(run.options, operations))
             enlarged = enlargement_note(run.options, film.shapes, film.pixelated, run.options.size)
             if enlarged and any("canvas" in place.format.relevant_options for place in places):
                 note(enlarged)
-            texts = {}
-            for beside in recipes:
-                folder = beside.resolve().parent
-                texts[beside] = json.dumps(metadata(folder), indent=2) + "\n"
             write_all(
                 places, film, run.options,
-                lambda place, share: stages(f"write {place.path.name}", share), texts,
+                lambda place, share: stages(f"write {place.path.name}", share),
+                request.texts(run.options, operations),
             )  # fmt: skip
-            summary = _summary(run, film, stages, notes)
+            summary = _summary(run, film, notes)
     if preset is not None:
         summary["preset"] = preset
     summary["found"] = run.guide.found
-    summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
-    click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
+    request.finish(summary, stages, partial(_last_line, run))
 
 
 def _most_particles(one: Sequence[int], other: Sequence[int], most: int | None) -> int | None:
@@ -274,7 +222,7 @@ def _cap_memory(run: _Run, operations: Operations) -> None:
         note(f"the recipe's limit of {limit_there} is above the device's own, {size_text(limit)}")
 
 
-def _summary(run: _Run, film: Recording, stages: Stages, notes: list[Warning]) -> dict[str, Any]:
+def _summary(run: _Run, film: Recording, notes: list[Warning]) -> dict[str, Any]:
     """Return the summary of the run for programs."""
     return {
         "outputs": [{"path": str(output.path), "format": output.name} for output in run.outputs],
@@ -294,7 +242,6 @@ def _summary(run: _Run, film: Recording, stages: Stages, notes: list[Warning]) -
         ],
         "particles": run.particles,
         "notes": list(map(str, notes)),
-        "seconds": {name: round(value, 3) for name, value in stages.seconds.items()},
         **film.parameters,
     }
 

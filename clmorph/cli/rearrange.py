@@ -1,21 +1,14 @@
 """The command ``clmorph rearrange``: the pixels of one picture move to form the next one."""
 
-from __future__ import annotations
-
-import json
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from typing import Any
 
-import click
-
-from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
-from clmorph.cli.common import note_thin, open_backend, read_picture, recipe_places
+from clmorph.cli.common import note_thin
+from clmorph.cli.request import Request
 from clmorph.cli.terminal import Stages
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.resizing import as_unit
@@ -25,76 +18,44 @@ from clmorph.output.save import Output, write_all
 from clmorph.pipeline.rearrange import arranged
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.rearrangement import Rearrangement
-from clmorph.pipeline.recipe import picture_entries, recipe
 
 
-@dataclass(frozen=True)
-class Request:
-    """The request of the command line."""
-
-    #: Two pictures, or more for a chain, in which the pixels of the first one move on.
-    images: Sequence[Path]
-    outputs: Sequence[Path]
-    options: RearrangeOptions
-    #: The output format, in place of the format of the output's ending.
-    format: str | None
-    #: Whether a recipe is written beside each output.
-    recipe: bool
-    max_pixels: int
-    #: The file of settings, which must not be overwritten.
-    config: Path | None
-
-
-def run_rearrange(
-    request: Request, *, device: str | None, backend: str | None, as_json: bool
-) -> None:
+def run_rearrange(request: Request) -> None:
     """Move the pixels of the first picture into each next one; write files and a summary."""
-    began = time.perf_counter()
     images, options = request.images, request.options
     places = [Output(output, request.format) for output in request.outputs]
-    beside = recipe_places(request.outputs) if request.recipe else []
-    own = [request.config] if request.config else []
-    check_apart([*request.outputs, *beside], [*images, *own])
+    request.check_files()
     motion = motion_of(options, held_frames(len(images), options.n_frames))
     for place in places:
         place.check_motion(motion)
-    pictures = [read_picture(path, request.max_pixels) for path in images]
+    pictures = request.read()
     note_thin(images[:1], pictures[:1], options)
-    operations = open_backend(device, backend)
-
-    def metadata(folder: Path | None = None) -> dict[str, Any]:
-        entries = picture_entries(images, folder)
-        return recipe(options, images=entries, device=operations.description)
-
+    operations = request.open()
     done: list[dict[str, float]] = []
-    with Stages(began) as stages:
+    with request.stages() as stages:
         stages.count("preparation")
         with recorded(
             _chain(pictures, options, operations, stages, done), motion,
             n_morphs=len(pictures) - 1, reverse=options.reverse,
             exact=any(place.format.exact for place in places),
             keep=any(place.format.keep for place in places),
-            pixelated=is_pixel_art(as_unit(pictures[0])), parameters=metadata(),
+            pixelated=is_pixel_art(as_unit(pictures[0])),
+            parameters=request.metadata(options, operations),
             folder=places[0].folder, progress=stages,
         ) as film:  # fmt: skip
-            texts = {
-                path: json.dumps(metadata(path.resolve().parent), indent=2) + "\n"
-                for path in beside
-            }
             write_all(
                 places, film, options,
-                lambda place, share: stages(f"write {place.path.name}", share), texts,
+                lambda place, share: stages(f"write {place.path.name}", share),
+                request.texts(options, operations),
             )  # fmt: skip
             summary = {
                 "outputs": [{"path": str(each.path), "format": each.name} for each in places],
                 "frames": len(film),
                 "duration": round(film.duration, 6),
                 "assignments": done,
-                "seconds": {name: round(value, 3) for name, value in stages.seconds.items()},
                 **film.parameters,
             }
-    summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
-    click.echo(json.dumps(summary) if as_json else _last_line(places, summary))
+    request.finish(summary, stages, partial(_last_line, places))
 
 
 def _chain(

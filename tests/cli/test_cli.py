@@ -294,7 +294,7 @@ def test_an_input_is_never_overwritten(pictures, capfd):
 
 
 def test_options_are_checked_before_devices_are_sought(pictures, capfd, monkeypatch):
-    monkeypatch.setattr("clmorph.cli.morph.open_backend", None)
+    monkeypatch.setattr("clmorph.cli.request.open_backend", None)
     assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "0"]) == 2
     assert capfd.readouterr().err.startswith("clmorph: error: --frames 0: expected")
 

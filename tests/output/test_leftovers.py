@@ -102,7 +102,8 @@ def test_signals_at_other_moments(moment, monkeypatch, capfd):
         os.kill(os.getpid(), signal.SIGTERM)
         pytest.fail("the signal was not heard")
 
-    monkeypatch.setattr(f"clmorph.cli.morph.{moment}", kill)
+    module = "request" if moment == "read_picture" else "morph"
+    monkeypatch.setattr(f"clmorph.cli.{module}.{moment}", kill)
     assert run("-o", "x.npz") == 143
     assert capfd.readouterr().err.splitlines()[-1] == "clmorph: terminated, nothing was written"
     assert names() == []
