@@ -3,6 +3,7 @@
 import math
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -321,6 +322,14 @@ def rearrange(context: click.RichContext, /, **given: Any) -> None:
     "--mask", type=options.FileName(), panel="Color",
     help="A picture of the size of PHOTO: white where it is recolored, black where it stays.",
 )  # fmt: skip
+@click.option(
+    "--export-lut", type=options.FileName(), panel="Output",
+    help="Also write the change of colors as a table, .cube, for other programs.",
+)  # fmt: skip
+@click.option(
+    "--lut-size", type=click.Choice(["17", "33", "65"]), panel="Output",
+    help="Levels a channel of that table, by default 33.",
+)  # fmt: skip
 @options.max_pixels_option
 @options.device_options
 @click.pass_context
@@ -343,7 +352,12 @@ def recolor(context: click.RichContext, /, **given: Any) -> None:
     images = _pictures(given["images"], config)
     example = "recolor photo.jpg like.jpg -o out.png"
     beside = _beside(given, config)
-    run_recolor(_request(given, chosen, images, example, (2, 2), beside=beside))
+    export_lut, lut_size = given["export_lut"], given["lut_size"]
+    if lut_size is not None and export_lut is None:
+        raise InputError("--lut-size without a table: expected --export-lut look.cube as well")
+    request = _request(given, chosen, images, example, (2, 2), beside=beside)
+    tables = [] if export_lut is None else [export_lut]
+    run_recolor(replace(request, tables=tables), int(lut_size or 33))
 
 
 @cli.command(epilog=_PRESETS)

@@ -12,33 +12,47 @@ from clmorph.cli.common import note_warning, read_picture
 from clmorph.cli.request import Request
 from clmorph.errors import FileError
 from clmorph.images.resizing import as_unit
+from clmorph.output.cube import check_cube_place, write_cube
 from clmorph.output.picture import check_picture_place, write_picture
 from clmorph.output.together import write_together
-from clmorph.pipeline.recolor import recolored
+from clmorph.pipeline.recolor import lattice, recolored
 
 
-def run_recolor(request: Request) -> None:
-    """Recolor the photo, write the output files, and print a summary."""
+def run_recolor(request: Request, size: int) -> None:
+    """Recolor the photo, write the output files, and print a summary.
+
+    Tables of colors have `size` levels a channel.
+    """
     options = request.options
     request.check_files()
     places = [check_picture_place(output) for output in request.outputs]
+    luts = request.tables
+    tables = [(check_cube_place(lut), lut) for lut in luts]
     photo, like = map(as_unit, request.read())
     mask = _read_mask(request, photo.shape) if request.beside else None
     operations = request.open()
     with request.stages() as stages, warnings.catch_warnings():
         warnings.showwarning = partial(note_warning, [])
         stages.count("preparation")
-        found = recolored(photo, like, options, mask, operations, stages)
+        table = lattice(size) if luts else None
+        found = recolored(photo, like, options, mask, operations, stages, table)
         stages("files", 0.0)
         parameters = request.metadata(options, operations)
         write = partial(write_picture, found, parameters)
         write_together(
-            [(*each, write) for each in zip(places, request.outputs, strict=True)],
+            [
+                *((*each, write) for each in zip(places, request.outputs, strict=True)),
+                *(
+                    (*each, partial(write_cube, table.reshape(size, size, size, 3)))
+                    for each in tables
+                    if table is not None
+                ),
+            ],
             request.texts(options, operations),
         )
         stages("files", 1.0)
         summary = {
-            "outputs": [str(path) for path in request.outputs],
+            "outputs": [str(path) for path in [*request.outputs, *luts]],
             "size": [photo.shape[1], photo.shape[0]],
             "mean_change": round(float(np.abs(found - photo)[..., :3].mean()), 6),
             **parameters,
@@ -63,7 +77,7 @@ def _read_mask(request: Request, shape: Sequence[int]) -> Any:
 
 def _last_line(request: Request, summary: dict[str, Any]) -> str:
     """Return the summary of the run for people."""
-    names = ", ".join(printable(path) for path in request.outputs)
+    names = ", ".join(printable(path) for path in summary["outputs"])
     width, height = summary["size"]
     return (
         f"{names}: {width} x {height} pixels, colors changed by {255 * summary['mean_change']:.0f} "

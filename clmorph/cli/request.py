@@ -38,6 +38,8 @@ class Request:
     as_json: bool = False
     #: Files beside the pictures, by what they are: labels, features, mask.
     beside: Mapping[str, Sequence[Path]] = field(default_factory=dict)
+    #: Tables of colors that are also written.
+    tables: Sequence[Path] = ()
     #: The options by a preset, if the pictures choose it; they replace `options`.
     options_of: Callable[[str], Any] | None = None
     #: Whether `max_memory` comes from a recipe, which may lower the device's limit but not raise
@@ -59,7 +61,7 @@ class Request:
         beside = [path for paths in self.beside.values() for path in paths]
         read = [path for path in beside if path not in AUTO_LABELS]
         own = [] if self.config is None else [self.config]
-        check_apart([*self.outputs, *self.recipes], [*self.images, *read, *own])
+        check_apart([*self.outputs, *self.tables, *self.recipes], [*self.images, *read, *own])
 
     def read(self) -> list[Any]:
         """Read the pictures."""

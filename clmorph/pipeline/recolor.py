@@ -107,8 +107,12 @@ def recolored(
     mask: Array | None,
     backend: Backend,
     report: StageProgress,
+    table: Array | None = None,
 ) -> Array:
-    """Recolor a picture, (H, W, 3 or 4); the parameters are checked ones of `recolor`."""
+    """Recolor a picture, (H, W, 3 or 4); the parameters are checked ones of `recolor`.
+
+    Colors `table` (N, 3) are replaced by where the same map sends them, without the mask.
+    """
     operations = get_backend(backend)
     visible = np.ones(like.shape[:2]) if like.shape[2] == 3 else like[..., 3]
     if not visible.any():
@@ -130,7 +134,15 @@ def recolored(
         np.full(colors.shape[:2], options.strength) if mask is None else (options.strength * mask)
     )
     _apply(found, change, amounts, space, report)
+    if table is not None:
+        table[:] = _moved(table, np.full(len(table), options.strength), change, space, report)
     return found
+
+
+def lattice(size: int) -> Array:
+    """Return the colors (size³, 3) of a table, red slowest."""
+    levels = np.linspace(0.0, 1.0, size)
+    return np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def as_mask(mask: Any, shape: tuple[int, int]) -> Array:
