@@ -23,7 +23,7 @@ from clmorph.frames.options import BULGING, GAMMA, RenderOptions
 from clmorph.measures.landmark_options import GuideOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
-from clmorph.pipeline.presets import AUTO, PRESETS, drafted
+from clmorph.pipeline.presets import AUTO, FINE_BLOCKS, PRESETS, drafted
 from clmorph.transport.options import PlanOptions, Reach, SolverOptions
 from clmorph.transport.regularization import regularization
 
@@ -90,10 +90,11 @@ class BudgetOptions(Options):
         "Transport", unit="pixels",
     )  # fmt: skip
     solve_size: int | None = option(
-        128, integer(2, 1 << 16),
+        64, integer(2, 1 << 16),
         "Solve the transport between square blocks of pixels, at most this number along the "
         "longer side, and draw with pixels. A block has 1, 2, 4, ... pixels along a side, so that "
-        "fewer can be taken. none: solve between pixels.",
+        "fewer can be taken. none: solve between pixels. Particles, cells, sprites and drawings "
+        "have 128 unless it is given.",
         "Transport", unit="blocks",
     )  # fmt: skip
     max_particles: int | None = option(
@@ -335,6 +336,10 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
         elif asked(settings):
             # A preset decides the detail unless an option that no preset sets asks for particles.
             settings["detail"] = "particles"
+    # Layers of photographs are drawn along means of the plan, but each particle is seen.
+    seen = settings.get("detail", "layers") != "layers" and "solve_size" not in layer
+    if seen and settings.get("solve_size") == MorphOptions.solve_size:
+        settings["solve_size"] = FINE_BLOCKS
 
 
 #: The paper's own options, for the reference and for the paper's baseline.

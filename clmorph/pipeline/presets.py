@@ -22,6 +22,10 @@ AUTO_HELP = (
 )
 
 
+#: The number of blocks along the longer side where each of them, or its outline, is seen.
+FINE_BLOCKS = 128
+
+
 class Preset(NamedTuple):
     """The options that differ from the defaults, by their names in Python, with a line of help."""
 
@@ -39,7 +43,13 @@ PRESETS: dict[str, Preset] = {
     ),
     "logo": Preset(
         "For logos and flat drawings: shapes become shapes, and the background stays.",
-        {"mass": "foreground", "reach": math.inf, "blur": 0.02, "detail": "layers"},
+        {
+            "mass": "foreground",
+            "reach": math.inf,
+            "blur": 0.02,
+            "detail": "layers",
+            "solve_size": FINE_BLOCKS,
+        },
     ),
     "pixel-art": Preset(
         "For sprites: whole pixels move, and blocks of enlarged sprites become pixels.",
@@ -49,6 +59,7 @@ PRESETS: dict[str, Preset] = {
             "blur": 0.02,
             "detail": "pixels",
             "scaling": "nearest",
+            "solve_size": FINE_BLOCKS,
         },
     ),
     "balanced": Preset(
@@ -57,12 +68,13 @@ PRESETS: dict[str, Preset] = {
     ),
     "mosaic": Preset(
         "Bold: blocks of the one picture move to their places in the other, unblended.",
-        {"detail": "cells"},
+        {"detail": "cells", "solve_size": FINE_BLOCKS},
     ),
     "crossfade": Preset(
         "Nothing moves: one picture fades into the other, to compare with.",
         {
             "reach": 0.001,
+            "solve_size": FINE_BLOCKS,
             "detail": "particles",
             "splatting": "fixed",
             "sigma_start": 0.3,

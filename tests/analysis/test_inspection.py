@@ -579,7 +579,7 @@ check_plotting()
         from clmorph.analysis.drawing import draw_field
 
         clear = np.dstack((_picture((60, 80)), np.tile(np.arange(80) >= 40, (60, 1))))
-        found = inspect(clear, _picture((20, 20), 1.0), backend=device, **OPTIONS)
+        found = inspect(clear, _picture((20, 20), 1.0), backend=device, solve_size=None, **OPTIONS)
         axes = Figure().add_subplot()
         arrows = draw_field(axes, found.source.colors.reshape(60, 80, 3), found.displacement, 1.0)
         assert 100 < arrows.N <= 24 * 24 / 2

@@ -131,7 +131,7 @@ class TestCommand:
         pair = ["logo0.png", "logo1.png"]
         command = ["morph", *pair, "-o", "out.gif", "--config", "mine.toml", *OPTIONS]
         assert main(command) == 0
-        told = "preset: logo, for what the pictures show; given otherwise: detail\n"
+        told = "preset: logo, for what the pictures show; given otherwise: detail, solve_size\n"
         assert told in capfd.readouterr().err
 
     def test_draft(self, files, capfd):
