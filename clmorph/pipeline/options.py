@@ -337,8 +337,9 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
             # A preset decides the detail unless an option that no preset sets asks for particles.
             settings["detail"] = "particles"
     # Layers of photographs are drawn along means of the plan, but each particle is seen.
-    seen = settings.get("detail", "layers") != "layers" and "solve_size" not in layer
-    if seen and settings.get("solve_size") == MorphOptions.solve_size:
+    seen = not _is_off(settings.get("detail", "layers"), ("layers",))
+    usual = _is_off(settings.get("solve_size"), (MorphOptions.solve_size,))
+    if seen and usual and "solve_size" not in layer:
         settings["solve_size"] = FINE_BLOCKS
 
 

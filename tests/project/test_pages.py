@@ -354,12 +354,12 @@ def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
 def test_inspecting_photographs_within_the_presets_own_limits(tmp_path, monkeypatch, capfd, ways):
     """As small as they can be and still be drawn by a sample between blocks."""
     monkeypatch.chdir(tmp_path)
-    write_pictures(140)
+    write_pictures(256)
     assert main(["inspect", "a.png", "b.jpg"]) == 0
     ((finest, way),) = ways
-    assert finest == 4
+    assert finest == 16
     assert way["sample"] > 1
-    assert "140 x 140 pixels in 70 x 70 " in capfd.readouterr().out
+    assert "256 x 256 pixels in 64 x 64 " in capfd.readouterr().out
 
 
 def photographs(side):
