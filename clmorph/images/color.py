@@ -140,7 +140,7 @@ def _same(values: Array) -> Array:
 
 
 def _to_oklab(colors: Array) -> Array:
-    return np.asarray(np.cbrt(_decode(colors) @ _TO_CONES.T) @ _TO_OPPONENTS.T)
+    return np.asarray(np.cbrt(decode(colors) @ _TO_CONES.T) @ _TO_OPPONENTS.T)
 
 
 def _from_oklab(values: Array) -> Array:
@@ -185,7 +185,7 @@ def _scale(space: str) -> float:
     return float(np.sqrt(spread[0] / spread[1]))
 
 
-def _decode(srgb: Array) -> Array:
+def decode(srgb: Array) -> Array:
     """Return the linear light of sRGB values (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0) + 0.055) / 1.055) ** 2.4)
 
@@ -199,7 +199,7 @@ def encode(light: Array) -> Array:
 #: Each space's conversion from sRGB and back, before the division by `_scale`.
 _CONVERSIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "srgb": (_same, _same),
-    "linear": (_decode, encode),
+    "linear": (decode, encode),
     "lab": (_to_lab, _from_lab),
     "luv": (_to_luv, _from_luv),
     "oklab": (_to_oklab, _from_oklab),
