@@ -67,8 +67,9 @@ def copied(source, target, container="mp4", change=lambda pixels: pixels):
 
 def decoded(path, size):
     """Frames as the system's ffmpeg decodes them: (n, H, W, 3) array."""
-    command = ["ffmpeg", "-v", "error", "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    found = subprocess.run(command, capture_output=True, check=True).stdout
+    command = ["ffmpeg", "-v", "error", "-i", str(path), "-vsync", "passthrough"]
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    found = subprocess.run([*command, *raw], capture_output=True, check=True).stdout
     return np.frombuffer(found, np.uint8).reshape(-1, size[1], size[0], 3)
 
 
