@@ -9,7 +9,12 @@ import pytest
 import clmorph
 from clmorph.backends.interface import MEMORY
 from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build import program
+from clmorph.backends.opencl.build.kernel_files import OPTIONAL
+from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import half_steps
+from clmorph.backends.opencl.verification import first_failure
 from clmorph.backends.verification import iterations
 from clmorph.backends.verification.clouds import few_rows, several_tiles
 from clmorph.backends.verification.iterations import check_iteration
@@ -142,3 +147,59 @@ def test_iterations_over_stored_pairs_leave_the_same_bytes(device):
     for values in found[1:]:
         for ours, theirs in zip(values, found[0], strict=True):
             np.testing.assert_array_equal(ours, theirs)
+
+
+REFUSED = "refused: 1:1: error: no dominating alternative"
+
+
+@pytest.mark.parametrize("kind", ["one", "many", "stored"])
+def test_where_kernels_cannot_be_built_the_host_iterates(device, rng, monkeypatch, kind):
+    """A refused program costs only itself, and is told once."""
+
+    def fresh():
+        return OpenCLOperations(device.device, device.constants, verify=False)
+
+    resident(device)
+    clouds = [clmorph.WeightedPoints(rng.random((n, 3)), np.full(n, 1 / n)) for n in (60, 50)]
+
+    def solve(backend):
+        if kind == "stored":
+            case = several_tiles(backend, NumPyOperations(), 3)
+            return np.array([finding.passed for finding in check_iteration(case, 0, True)])
+        if kind == "one":
+            return clmorph.sinkhorn(*clouds, blur=0.1, reach=0.5, backend=backend).g
+        many = [[cloud, cloud] for cloud in clouds]
+        return clmorph.sinkhorn_batch(*many, blur=0.1, reach=0.5, backend=backend)[1].g
+
+    wanted = solve(fresh())
+    build, asked = program.build, []
+
+    def refuse(context, name, *more):
+        if name in OPTIONAL:
+            asked.append(name)
+            raise program.ProgramError(REFUSED)
+        return build(context, name, *more)
+
+    monkeypatch.setattr(program, "build", refuse)
+    operations = fresh()
+    with pytest.warns(clmorph.ClmorphWarning, match=f"on the host.*{REFUSED}") as told:
+        found = solve(operations)
+    assert len(told) == len(asked) == 1
+    if kind == "stored":
+        assert wanted.any()
+        assert len(found) == 0
+        return
+    assert np.abs(found - wanted).max() <= 1e-3 * 0.1**2
+    assert np.array_equal(solve(operations), found)  # without another warning
+
+
+def test_the_probe_says_that_optional_kernels_cannot_be_built(device, monkeypatch):
+    """And not that they compute wrongly."""
+    resident(device)
+    operations = OpenCLOperations(device.device, device.constants, verify=False)
+    monkeypatch.setattr(
+        operations.programs, "kernels", lambda variant: (_ for _ in ()).throw(ValueError(REFUSED))
+    )
+    for file in OPTIONAL:
+        with pytest.raises(ValueError, match=REFUSED):
+            first_failure(operations, Variant(file))

@@ -22,6 +22,8 @@ from clmorph.backends.opencl import probe, verification
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program, programs
 from clmorph.backends.opencl.build.constants import choose_constants
+from clmorph.backends.opencl.build.kernel_files import OPTIONAL
+from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.programs import Programs, program_key, read_request
 from clmorph.backends.opencl.build.variants import (
     KERNELS,
@@ -349,6 +351,51 @@ def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, wor
     condemned = verdicts.load_verdict(verdicts.verdict_key(one.device))
     assert (condemned is not None) == lasting
     assert not lasting or condemned["usable"] is False
+
+
+@pytest.mark.parametrize("body", ["os.abort()", "time.sleep(60)"])
+def test_a_crash_or_a_hang_in_an_optional_program_costs_only_itself(one, empty, monkeypatch, body):
+    """A trial is then repeated without the program, and the device is usable."""
+    variant = Variant(OPTIONAL[0])
+    key = program_key(one.device, variant, one.constants)
+    lines = trial.LOADED, f"{trial.BEGUN} {key} {variant}"
+    verdict = {"usable": True, "reason": "", "pairs_per_second": 1.0, "lasting": True}
+    script = empty / "check.py"
+    script.write_text(
+        "import os, sys, time\n"
+        f"if sys.argv[1] == {trial.WITHOUT + OPTIONAL[0]!r}:\n"
+        f"    print({trial.VERDICT + ' ' + json.dumps(verdict)!r}); raise SystemExit\n"
+        f"print(*{lines!r}, sep='\\n', flush=True); {body}\n"
+    )
+    monkeypatch.setattr(trial, "_command", lambda *more: [sys.executable, script, str(more[2])])
+    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "5" if "sleep" in body else "60")
+    assert trial.run_probe(TESTED[0].index) == verdict
+    monkeypatch.setattr(trial, "_run", None)  # its verdict is known in this process
+    with pytest.raises(ProgramError, match=r"half_steps\.cl"):
+        made(one).verify(variant)
+    assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
+
+
+def test_a_trial_without_an_optional_program(empty, monkeypatch):
+    """The others are checked, and a refused optional program is no reason against the device."""
+    checked = []
+
+    def check(operations, variant):
+        checked.append(variant.file)
+        return ("refused", True) if variant.is_optional else ("", True)
+
+    monkeypatch.setattr(probe, "_check", check)
+    monkeypatch.setattr(probe, "throughput", lambda *_: 1.0)
+    for request, there in ((None, True), (trial.WITHOUT + " ".join(OPTIONAL), False)):
+        checked.clear()
+        assert probe.probe(TESTED[0].index, request)["usable"]
+        assert (OPTIONAL[0] in checked) == (there and one_suits())
+        assert {"log_sum_exp.cl", "splat.cl"} <= set(checked)
+
+
+def one_suits():
+    """Return whether the first tested device iterates at all."""
+    return Variant(OPTIONAL[0]).suits(OpenCLOperations(TESTED[0].handle).constants)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills as POSIX does")

@@ -20,7 +20,15 @@ from clmorph.backends.opencl.build.programs import program_key, read_request
 from clmorph.backends.opencl.build.variants import Variant, further_variants, usual_variants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.devices.throughput import throughput
-from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, FURTHER, LOADED, VERDICT
+from clmorph.backends.opencl.devices.trial import (
+    BEGUN,
+    ENDED,
+    FURTHER,
+    LOADED,
+    VERDICT,
+    WITHOUT,
+)
+from clmorph.backends.opencl.devices.verdicts import condemns
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import ClmorphError
 
@@ -41,7 +49,9 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
     if index not in found:
         return _failure("its probe did not find it", lasting=False)
     device, constants, variants = found[index], None, list(usual_variants())
-    speed = 0.0
+    speed, skipped = 0.0, ""
+    if request is not None and request.startswith(WITHOUT):
+        request, skipped = None, request
     try:
         if request == FURTHER:
             constants, variants = choose_constants(device), list(further_variants())
@@ -51,15 +61,18 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
         else:
             # A tuned build is no reason to refuse the device; it is verified when it is used.
             constants = choose_constants(device)
-            variants = [variant for variant in variants if variant.suits(constants)]
+            variants = [each for each in variants if each.suits(constants)]
+            variants = [each for each in variants if each.file not in skipped.split()]
         operations = OpenCLOperations(device, constants, verify=False)
         failures = []
         for variant in variants:
             key = program_key(device, variant, operations.constants)
             print(f"\n{BEGUN} {key} {variant}", flush=True)
-            failures.append(_check(operations, variant))
-            reason, lasting = failures[-1]
+            reason, lasting = _check(operations, variant)
             print(f"\n{ENDED} {json.dumps(reason if lasting else None)}", flush=True)
+            if request is None and variant.is_optional and not condemns(reason, True):
+                continue
+            failures.append((reason, lasting))
             # Of the programs of a request each gets a verdict.
             if reason and request is None:
                 break

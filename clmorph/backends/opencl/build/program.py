@@ -20,6 +20,10 @@ from clmorph.errors import DeviceError
 _INCLUDE = re.compile(r'^#include "([a-z_]+\.cl)"$', re.MULTILINE)
 
 
+class ProgramError(DeviceError):
+    """A program cannot be built or is not used; others of the device may work."""
+
+
 @functools.cache
 def source(name: str) -> str:
     """Return a file of ``cl_kernels/`` with its includes expanded.
@@ -46,7 +50,7 @@ def build(
 
     `constants` are macros, defined with ``-D``; a float becomes a float32 literal. The binary is
     kept in the user's cache folder, under a key of source, options, device and driver. If the
-    compiler rejects the source, a DeviceError has its first error.
+    compiler rejects the source, a ProgramError has its first error.
     """
     options = build_options(constants)
     device = device or context.devices[0]
@@ -111,7 +115,7 @@ def _from_source(
         lines = [line.strip() for line in f"{_log(program, device)}\n{error}".splitlines()]
         lines = [line for line in lines if line]
         reason = next((line for line in lines if "error" in line.lower()), lines[0])
-        raise DeviceError(
+        raise ProgramError(
             f"{device.name.strip()} cannot build {name}: {reason}; "
             "update its driver, or choose another device with --device or CLMORPH_DEVICE"
         ) from error

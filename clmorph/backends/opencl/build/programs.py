@@ -9,6 +9,7 @@ import pyopencl as cl
 
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
+from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.tuned_record import forget_tuning
 from clmorph.backends.opencl.build.variants import KERNELS, Variant, used_together
 from clmorph.backends.opencl.devices import trial, verdicts
@@ -33,8 +34,9 @@ class Programs:
     without it programs are not verified at all: so it is in the process that verifies them.
 
     With `chosen`, constants are those that clmorph chooses for the device. Then a program that
-    computes wrongly or crashes makes the device unusable; one that the compiler refuses is only not
-    used. Tuned constants of a program that fails are forgotten instead.
+    computes wrongly or crashes makes the device unusable; one that the compiler refuses, or an
+    optional one that crashes, is only not used. Tuned constants of a program that fails are
+    forgotten instead.
     """
 
     def __init__(
@@ -68,9 +70,9 @@ class Programs:
         if not reason:
             return
         if verdicts.is_lasting(key):
-            self._refuse(reason)
+            self._refuse(reason, variant)
         else:
-            raise DeviceError(f"{self._name()} is not used for now: {reason}; {_ADVICE}")
+            raise ProgramError(f"{self._name()} is not used for now: {reason}; {_ADVICE}")
 
     def _key(self, variant: Variant) -> str:
         return program_key(self._device, variant, self._constants)
@@ -103,7 +105,7 @@ class Programs:
         verdicts.save_program_verdict(key, reason, lasting=False)
         return reason
 
-    def _refuse(self, reason: str) -> None:
+    def _refuse(self, reason: str, variant: Variant) -> None:
         if self._chosen and self._constants != choose_constants(self._device):
             # The fault may be that of the tuned build alone.
             forget_tuning(self._device)
@@ -111,8 +113,8 @@ class Programs:
                 f"{self._name()} fails with its tuned build: {reason}; the tuning is now "
                 "forgotten: start again, and the build for this kind of device is used"
             )
-        if not verdicts.condemns(reason):
-            raise DeviceError(f"{self._name()} cannot run this: {reason}; {_ADVICE}")
+        if not verdicts.condemns(reason, variant.is_optional):
+            raise ProgramError(f"{self._name()} cannot run this: {reason}; {_ADVICE}")
         if self._chosen:
             mark_unusable(self._device, reason)
         raise DeviceError(f"{self._name()} is unusable: {reason}; {_ADVICE}")

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.kernel_files import KERNELS as KERNELS
+from clmorph.backends.opencl.build.kernel_files import OPTIONAL
 
 
 @dataclass(frozen=True)
@@ -47,9 +48,12 @@ class Variant:
 
     def suits(self, constants: BuildConstants) -> bool:
         """Return whether a device has what the file needs: float64 and long loops to iterate."""
-        return self.file not in ("half_steps.cl", "sparse_half_steps.cl") or (
-            constants.precise == 2 and not constants.longest_loop
-        )
+        return not self.is_optional or (constants.precise == 2 and not constants.longest_loop)
+
+    @property
+    def is_optional(self) -> bool:
+        """Whether the host does without the program."""
+        return self.file in OPTIONAL
 
     def __str__(self) -> str:
         words = [f"dimension {self.dimension}"] if self.dimension else []

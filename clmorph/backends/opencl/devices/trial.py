@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from clmorph._shared.validation import check_number
+from clmorph.backends.opencl.build.kernel_files import OPTIONAL
 from clmorph.backends.opencl.devices.verdicts import CRASHED, save_program_verdict
 
 #: Time limit in seconds to build and check a program, and the variable that changes it.
@@ -32,6 +33,8 @@ BEGUN, ENDED = "clmorph.program.begun", "clmorph.program.ended"
 VERDICT = "clmorph.verdict"
 #: The request to verify the programs that most morphs use beside those of a trial.
 FURTHER = "further"
+#: What the request of a trial without some optional files begins with.
+WITHOUT = "without "
 #: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
 _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
 #: Seconds after which the end of a silent process is looked for, and for which a killed one may
@@ -59,6 +62,21 @@ def probe_seconds() -> float:
 def run_probe(
     index: str, seconds: float | None = None, request: str | None = None
 ) -> dict[str, Any]:
+    """Return the verdict of `_probe_once`; a trial that ends in an optional program is repeated.
+
+    It is repeated without the program.
+    """
+    skipped: list[str] = []
+    while True:
+        without = WITHOUT + " ".join(skipped) if skipped else request
+        verdict = _probe_once(index, seconds, without)
+        under_check = verdict.pop("under_check", "")
+        if request is not None or under_check not in OPTIONAL or under_check in skipped:
+            return verdict
+        skipped.append(under_check)
+
+
+def _probe_once(index: str, seconds: float | None, request: str | None) -> dict[str, Any]:
     """Build and verify kernels on a device of `raw_devices`, in a separate process.
 
     `request` names the programs to verify (`programs.make_request`, or `FURTHER`); by default they
@@ -83,12 +101,15 @@ def run_probe(
     try:
         done = _run(command, seconds, reading)
     except subprocess.TimeoutExpired as error:
-        under_check = _keep_program_verdicts(str(error.output or "").splitlines())[1]
-        return _untried(
+        key, under_check = _keep_program_verdicts(str(error.output or "").splitlines())
+        verdict = _untried(
             f"did not build and verify {under_check or 'the kernels'} within {seconds:g} s; it is "
             f"tried again by the next process, and {PROBE_SECONDS_VARIABLE} sets how many seconds "
             "it may take"
-        ) | {"timed_out": True}
+        ) | {"timed_out": True, "under_check": under_check}
+        if under_check in OPTIONAL:
+            save_program_verdict(key, verdict["reason"], lasting=False)
+        return verdict
     except OSError as error:
         return _untried(f"cannot be tried ({python}: {error.strerror})")
     finally:
@@ -171,7 +192,7 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
             return dict(json.loads(found[-1]))
     noise = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     reason = noise[-1] if noise else "no output"
-    under_check = under_check or "a kernel"
+    name, under_check = under_check, under_check or "a kernel"
     # If the probe has not opened the device yet, the driver is not the cause of the failure.
     lasting = LOADED in lines
     if lasting:
@@ -186,7 +207,7 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
             lasting, reason = False, f"its probe was killed (signal {-done.returncode})"
     if lasting and key:
         save_program_verdict(key, reason)
-    return _untried(reason) | {"lasting": lasting}
+    return _untried(reason) | {"lasting": lasting, "under_check": name}
 
 
 def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:

@@ -174,12 +174,12 @@ def save_program_verdict(key: str, reason: str, lasting: bool = True) -> None:
         _momentary.add(key)
 
 
-def condemns(reason: str) -> bool:
+def condemns(reason: str, optional: bool = False) -> bool:
     """Return whether the device that a program was refused for does not work at all.
 
-    A compiler that refuses a program says nothing of the others.
+    A compiler that refuses a program, or crashes on an `optional` one, says nothing of the others.
     """
-    return reason.startswith((WRONG, CRASHED))
+    return reason.startswith((WRONG,) if optional else (WRONG, CRASHED))
 
 
 def is_lasting(key: str) -> bool:

@@ -81,8 +81,10 @@ SLOTS = Slots(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
 class HalfSteps(ResidentSteps):
     """Iterations over all pairs of points, of one problem or of many."""
 
+    variant = Variant("half_steps.cl")
+
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
-        super().__init__(loop.work, take_turns)
+        super().__init__(loop, take_turns)
         self._loop = loop
         self._bound: dict[Any, BoundKernels] = {}
 
@@ -90,8 +92,8 @@ class HalfSteps(ResidentSteps):
         """Return whether the device can iterate over so many pairs of points of each problem."""
         is_processor = self._work.device.type & cl.device_type.CPU
         most = MOST_PAIRS if is_processor else MOST_PAIRS_ELSEWHERE
-        suits = Variant("half_steps.cl").suits(self._loop.constants)
-        return bool(suits and np.max(pairs) <= most and np.sum(pairs) <= MOST_OF_MANY)
+        fits = np.max(pairs) <= most and np.sum(pairs) <= MOST_OF_MANY
+        return bool(fits) and self.is_possible()
 
     def start_iteration(
         self, rows: Cloud, columns: Cloud, weights: tuple[Float64, Float64],
@@ -266,7 +268,7 @@ class HalfSteps(ResidentSteps):
         listed = isinstance(iteration, BatchIteration)
         programs, key = self._loop.programs, (dimension, precise, listed)
         if key not in self._bound:
-            kernels = programs.kernels(Variant("half_steps.cl"))
+            kernels = programs.kernels(self.variant)
             for side in ("rows", "columns"):
                 own = programs.kernels(Variant("log_sum_exp.cl", dimension, precise, listed))
                 kernels[side] = own["log_sum_exp"]

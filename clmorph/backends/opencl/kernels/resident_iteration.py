@@ -1,6 +1,7 @@
 """The host of both iterations on the device: what it sets, starts, awaits and reads."""
 
 import contextlib
+import warnings
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -12,9 +13,11 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.cancellation import check_cancelled
-from clmorph.backends.opencl.kernels.launches import Workspace
-from clmorph.backends.opencl.kernels.row_loop import LOG2_E
+from clmorph.backends.opencl.build.program import ProgramError
+from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import Float64, IterationNumbers
+from clmorph.errors import ClmorphWarning
 
 
 @dataclass(frozen=True)
@@ -288,11 +291,31 @@ class ResidentSteps(ABC):
     take_turns: makes methods run one at a time on a device, see `OpenCLOperations`.
     """
 
-    def __init__(self, work: Workspace, take_turns: Callable[[Any], Any]) -> None:
-        self._work = work
+    #: The variant of the kernels of the iteration.
+    variant: Variant
+
+    def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
+        self._work, self._programs, self._constants = loop.work, loop.programs, loop.constants
+        self._is_possible: bool | None = None
         self.set_potential = take_turns(self._set_potential)
         self.iterate = take_turns(self._iterate)
         self.potentials = take_turns(self._potentials)
+
+    def is_possible(self) -> bool:
+        """Return whether the device has what iterations need; its compiler is asked once."""
+        if self._is_possible is None:
+            self._is_possible = self.variant.suits(self._constants)
+            try:
+                if self._is_possible:
+                    self._programs.kernels(self.variant)
+            except ProgramError as error:
+                self._is_possible = False
+                warnings.warn(
+                    f"iterations run on the host, which is slower: {error}",
+                    ClmorphWarning,
+                    stacklevel=2,
+                )
+        return self._is_possible
 
     @abstractmethod
     def _kernels(self, iteration: DeviceIteration) -> BoundKernels:

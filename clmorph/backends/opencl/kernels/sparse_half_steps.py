@@ -95,9 +95,10 @@ class StoredSteps(ResidentSteps):
     most_groups: largest number of work-groups of a loop over vectors.
     """
 
+    variant = Variant("sparse_half_steps.cl")
+
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
-        super().__init__(loop.work, take_turns)
-        self._constants, self._programs = loop.constants, loop.programs
+        super().__init__(loop, take_turns)
         self._bound: BoundKernels | None = None
         units = loop.work.device.max_compute_units
         self.most_groups: int = min(MOST_GROUPS, GROUPS_PER_UNIT * units)
@@ -111,7 +112,7 @@ class StoredSteps(ResidentSteps):
         over: StoredIteration | None = None,
     ) -> StoredIteration | None:
         """Put the vectors of an iteration on the device, or return None."""
-        if not Variant("sparse_half_steps.cl").suits(self._constants):
+        if not self.is_possible():
             return None
         pairs: tuple[Side, Side] = stored.pairs
         self._own_kernels()
@@ -226,7 +227,7 @@ class StoredSteps(ResidentSteps):
     def _own_kernels(self) -> BoundKernels:
         """Return kernels whose arguments nothing else sets."""
         if self._bound is None:
-            kernels = self._programs.kernels(Variant("sparse_half_steps.cl"))
+            kernels = self._programs.kernels(self.variant)
             sums = self._programs.kernels(Variant("sliced_ellpack.cl"))
             self._bound = BoundKernels({**kernels, "sum_stored": sums["sum_stored"]}, ARGUMENTS)
         return self._bound
