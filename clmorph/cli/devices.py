@@ -1,6 +1,7 @@
 """The commands ``clmorph devices``, ``clmorph check`` and ``clmorph tune``."""
 
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -56,9 +57,12 @@ def list_devices(as_json: bool, again: bool) -> int:
         return 0 if auto else 1
     if devices:
         _print_table(devices, auto)
-    if not auto:
-        from clmorph.backends.opencl.devices.install_hints import advice
+    from clmorph.backends.opencl.devices.install_hints import advice, missing_files
 
+    if auto:
+        for line in missing_files() if sys.platform == "linux" else ():
+            note(line)
+    else:
         click.echo("No OpenCL device is usable. What helps:")
         for line in advice():
             click.echo(f"  {line}")

@@ -107,6 +107,31 @@ def test_no_measured_speed_decides(pretend, monkeypatch):
     assert chosen() is slow
 
 
+def test_recorded_speeds_order_gpus_of_several_models(pretend, monkeypatch):
+    """More lanes at a higher clock may be slower; near speeds, and twins, stay in their order."""
+    speeds = {"Arc": 2e11, "RTX": 1.3e12, "RTX Ti": 1.4e12, "Iris": 9e12, "broken": 0.0}
+
+    def gpu(name, units, **more):
+        return handle(name, kind="GPU", max_compute_units=units, **more)
+
+    order = [gpu("RTX", 30), gpu("RTX Ti", 20), gpu("Arc", 400)]
+    order += [gpu("broken", 999), gpu("Iris", 900, host_unified_memory=True)]
+    asked = pretend(*reversed(order), broken=order[3:4])
+    probe = devices.run_probe
+
+    def measured(index, request=None):
+        name = dict(devices.raw_devices())[index].name
+        return {**probe(index, request), "pairs_per_second": speeds[name]}
+
+    monkeypatch.setattr(devices, "run_probe", measured)
+    assert chosen() is order[0]
+    assert sorted(asked) == ["1:0", "2:0", "3:0", "4:0"]  # the integrated one is not tried
+    assert [entry[1] for entry in devices.in_order(devices.raw_devices())] == order
+    asked = pretend(order[2], order[2])
+    assert chosen() is order[2]
+    assert asked == ["0:0"]  # twins need no measurement
+
+
 def test_the_search_ends_at_the_first_usable_device(pretend):
     first, second, third = handle(platform=INTEL), handle(platform=POCL), handle(platform="Else")
     asked = pretend(third, second, first, broken=[first])

@@ -74,6 +74,35 @@ def test_no_launch_looks_at_more_than_its_share(device, monkeypatch):
     assert np.allclose(cut, whole, rtol=1e-5)
 
 
+def test_prime_numbers_of_particles_leave_work_groups_whole(device, monkeypatch):
+    """Where a driver chooses work-groups, it makes them 1 for a prime number of work-items."""
+    splatting, sizes = device.splatting, []
+    run = splatting._run
+
+    def noted(name, size, group, *rest):
+        if group is None:
+            sizes.append(*size)
+        run(name, size, group, *rest)
+
+    monkeypatch.setattr(splatting, "_run", noted)
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(0, 40, (1009, 2)).astype(np.float32)
+    distances = rng.uniform(0.5, 9, (40, 40))
+
+    def levels_of(part):
+        splats = device.upload_splats(
+            positions[part], np.ones((len(positions[part]), 3), np.float32),
+            np.ones(len(positions[part]), np.float32),
+        )  # fmt: skip
+        return device.width_levels(device.adapt_widths(splats, distances, 1.0))
+
+    levels = levels_of(slice(None))
+    assert sizes == [960, 49]
+    assert len(set(levels)) > 3
+    for part in (slice(0, 960), slice(960, None)):  # the last ones are at their places
+        assert np.array_equal(levels_of(part), levels[part])
+
+
 def test_no_launch_sums_more_than_its_share(device, monkeypatch):
     """The same by moments: cut over bins, over particles, and over rows."""
     monkeypatch.setattr("clmorph.backends.opencl.kernels.launches.LAUNCH_PARTICLES", 1000)

@@ -393,6 +393,23 @@ def test_a_trial_without_an_optional_program(empty, monkeypatch):
         assert {"log_sum_exp.cl", "splat.cl"} <= set(checked)
 
 
+@pytest.mark.parametrize("busy", [False, True])
+def test_resources_that_are_in_use_are_told_from_a_fault(one, monkeypatch, busy):
+    """NVIDIA's driver says OUT_OF_RESOURCES of an illegal access, and a new context then works."""
+
+    def fail(*_):
+        raise cl.RuntimeError(
+            cl._cl._ErrorRecord(msg="", code=cl.status_code.OUT_OF_RESOURCES, routine="finish")
+        )
+
+    monkeypatch.setattr(probe, "first_failure", fail)
+    if busy:
+        monkeypatch.setattr(cl, "Context", fail)
+    reason, lasting = probe._check(one, PLAIN)
+    assert "OUT_OF_RESOURCES" in reason
+    assert lasting is not busy
+
+
 def one_suits():
     """Return whether the first tested device iterates at all."""
     return Variant(OPTIONAL[0]).suits(OpenCLOperations(TESTED[0].handle).constants)

@@ -26,9 +26,14 @@ from clmorph.backends.opencl.build.constants import (
 )
 from clmorph.backends.opencl.build.variants import KERNELS
 from clmorph.backends.opencl.devices import find as devices
-from clmorph.backends.opencl.devices import verdicts
+from clmorph.backends.opencl.devices import install_hints, verdicts
 from clmorph.backends.opencl.devices.find import choose_device, find_devices
-from clmorph.backends.opencl.devices.install_hints import LINUX_PACKAGES, advice
+from clmorph.backends.opencl.devices.install_hints import (
+    LINUX_PACKAGES,
+    advice,
+    missing_cards,
+    missing_files,
+)
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
 from clmorph.cli import conformance
 from clmorph.cli.conformance import check
@@ -295,7 +300,7 @@ def test_trying_again_forgets_verdicts(monkeypatch, capfd, asked):
     ],
 )
 def test_advice(system, machine, family, first):
-    lines = advice(system, machine, family, installed=False)
+    lines = advice(system, machine, family, installed=False, missing=[])
     assert first in lines[0]
     assert "numpy" in lines[-1]
     if family:
@@ -306,6 +311,75 @@ def test_advice_does_not_name_what_is_installed():
     first = advice("linux", "x86_64", "debian", installed=True)[0]
     assert "is installed but was not found: unset OCL_ICD_VENDORS" in first
     assert "pip install" not in first
+
+
+def pretend_files(root, *names, icd=None):
+    for name in names:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).touch()
+    if icd is not None:
+        (root / "etc/OpenCL/vendors").mkdir(parents=True)
+        (root / "etc/OpenCL/vendors/some.icd").write_text(icd + "\n")
+
+
+NVIDIA = "usr/lib/x86_64-linux-gnu/libnvidia-opencl.so.1"
+
+
+@pytest.mark.parametrize("icd", [None, "libpocl.so.2", "libnvidia-opencl.so.1"])
+def test_an_unregistered_driver_is_named(tmp_path, monkeypatch, icd):
+    """With the file that is missing, and the command that writes it."""
+    monkeypatch.delenv("OCL_ICD_VENDORS", raising=False)
+    pretend_files(tmp_path, NVIDIA, icd=icd)
+    found = missing_files(tmp_path)
+    assert missing_cards(tmp_path) == []
+    if icd == "libnvidia-opencl.so.1":
+        assert found == []
+        return
+    (line,) = found
+    file = tmp_path / "etc/OpenCL/vendors/nvidia.icd"
+    assert f"{file} is missing" in line
+    assert f"echo {tmp_path / NVIDIA} > {file}" in line
+    # A user's own folder counts in place of the system's.
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "n.icd").write_text(str(tmp_path / NVIDIA))
+    monkeypatch.setenv("OCL_ICD_VENDORS", str(own))
+    assert missing_files(tmp_path) == []
+
+
+def test_a_registered_library_that_is_gone_is_named(tmp_path, monkeypatch):
+    monkeypatch.delenv("OCL_ICD_VENDORS", raising=False)
+    pretend_files(tmp_path, icd=str(tmp_path / "gone.so"))
+    (line,) = missing_files(tmp_path)
+    assert line.startswith(f"{tmp_path / 'etc/OpenCL/vendors/some.icd'} names {tmp_path}")
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["usr/lib/wsl/lib/libcuda.so.1"], "WSL: .*libnvidia-opencl"),
+        (["usr/lib/wsl/lib/libnvidia-opencl.so.1"], None),
+        ([".dockerenv"], "--gpus all"),
+        (["run/.containerenv"], "--device /dev/dri"),
+        ([".dockerenv", "dev/dri/card0"], None),
+        ([".dockerenv", "dev/nvidiactl"], "without libnvidia-opencl"),
+        ([".dockerenv", "dev/nvidiactl", NVIDIA], None),
+        ([], None),
+    ],
+)
+def test_a_card_that_is_not_passed_on_is_told(tmp_path, names, words):
+    pretend_files(tmp_path, *names)
+    found = missing_cards(tmp_path)
+    assert len(found) == (words is not None)
+    assert words is None or re.search(words, found[0])
+
+
+def test_devices_names_the_missing_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(install_hints, "missing_files", lambda: ["/etc/x.icd is missing"])
+    main(["devices"])
+    said = capsys.readouterr()
+    assert "/etc/x.icd is missing" in said.out + said.err
 
 
 def test_without_devices_advice_is_printed():

@@ -39,8 +39,9 @@ PASSING = (
     cl.status_code.DEVICE_NOT_AVAILABLE,
     cl.status_code.MEM_OBJECT_ALLOCATION_FAILURE,
     cl.status_code.OUT_OF_HOST_MEMORY,
-    cl.status_code.OUT_OF_RESOURCES,
 )
+#: Bytes that a device must take to show that its resources are not in use.
+FEW_BYTES = 1 << 24
 
 
 def probe(index: str, request: str | None = None) -> dict[str, Any]:
@@ -48,8 +49,8 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
     found = dict(raw_devices())
     if index not in found:
         return _failure("its probe did not find it", lasting=False)
-    device, constants, variants = found[index], None, list(usual_variants())
-    speed, skipped = 0.0, ""
+    constants, variants = None, list(usual_variants())
+    device, speed, skipped = found[index], 0.0, ""
     if request is not None and request.startswith(WITHOUT):
         request, skipped = None, request
     try:
@@ -82,7 +83,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
         if request is None:
             speed = throughput(operations, TIMED_POINTS)
     except Exception as error:  # a driver's errors come in any class; the reason is shown
-        return _failure(_words(error), lasting=not _is_passing(error))
+        return _failure(_words(error), lasting=not _is_passing(error, device))
     return {"usable": True, "reason": "", "pairs_per_second": speed, "lasting": True}
 
 
@@ -91,7 +92,7 @@ def _check(operations: OpenCLOperations, variant: Variant) -> tuple[str, bool]:
     try:
         return first_failure(operations, variant), True
     except Exception as error:  # as in `probe`
-        return f"{variant}: {_words(error)}", not _is_passing(error)
+        return f"{variant}: {_words(error)}", not _is_passing(error, operations.device)
 
 
 def _words(error: Exception) -> str:
@@ -105,14 +106,32 @@ def _failure(reason: str, lasting: bool) -> dict[str, Any]:
     return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": lasting}
 
 
-def _is_passing(error: BaseException | None) -> bool:
-    """Return whether an error, or its cause, is temporary and not a fault of the driver."""
+def _is_passing(error: BaseException | None, device: cl.Device) -> bool:
+    """Return whether an error, or its cause, is temporary and not a fault of the driver.
+
+    NVIDIA's driver also returns OUT_OF_RESOURCES for an illegal access, after which another context
+    works.
+    """
     if error is None:
         return False
     if isinstance(error, MemoryError | OSError):
         return True
     code = error.code if isinstance(error, cl.Error) else cl.status_code.SUCCESS
-    return code in PASSING or _is_passing(error.__cause__)
+    if code == cl.status_code.OUT_OF_RESOURCES:
+        return not _has_resources(device)
+    return code in PASSING or _is_passing(error.__cause__, device)
+
+
+def _has_resources(device: cl.Device) -> bool:
+    """Return whether a new context can be used."""
+    try:
+        context = cl.Context([device])
+        queue = cl.CommandQueue(context, device)
+        buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, FEW_BYTES)
+        cl.enqueue_copy(queue, buffer, bytes(FEW_BYTES), is_blocking=True)
+    except (cl.Error, MemoryError):
+        return False
+    return True
 
 
 def end_with_parent() -> None:

@@ -99,7 +99,7 @@ def preference(handle: "cl.Device") -> tuple[int, int, int, int]:
 
     GPUs come before other devices before CPUs; GPUs with memory of their own before others; among
     CPUs, runtimes whose speed is known before others; then the devices with more lanes and a higher
-    clock. No measured speed is used, so that the choice is always the same.
+    clock. See `opencl.devices.find.in_order` for GPUs of several models.
     """
     import pyopencl as cl
 

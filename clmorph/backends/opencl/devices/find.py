@@ -1,6 +1,8 @@
 """Find OpenCL devices, determine which of them work, and choose one."""
 
+import itertools
 import os
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
@@ -23,6 +25,9 @@ from clmorph.errors import DeviceError
 
 if TYPE_CHECKING:
     import pyopencl as cl
+
+#: The least ratio of recorded speeds that changes the order of devices.
+LEAST_RATIO = 1.2
 
 
 @Once
@@ -83,6 +88,26 @@ def _check_variables() -> None:
         forced_quirks()
 
 
+def in_order(entries: "Iterable[tuple[str, cl.Device]]") -> "list[tuple[str, cl.Device]]":
+    """Return indices and devices in the order in which they are chosen: that of `preference`.
+
+    Lanes of different models are not alike, so GPUs of several models or drivers are tried, and the
+    one with the higher recorded speed comes first, unless another has 5/6 of it.
+    """
+    found: list[tuple[str, cl.Device]] = []
+    ordered = sorted(entries, key=lambda entry: preference(entry[1]))
+    for rank, group in itertools.groupby(ordered, key=lambda entry: preference(entry[1])[:-1]):
+        same = list(group)
+        if rank[0] == 0 and len({names_of(handle) for _, handle in same}) > 1:
+            speeds = {index: tried(index).pairs_per_second for index, _ in same}
+            while same:
+                fast = max(speeds[index] for index, _ in same) / LEAST_RATIO
+                found.append(next(entry for entry in same if speeds[entry[0]] >= fast))
+                same.remove(found[-1])
+        found += same
+    return found
+
+
 def _forget_found() -> None:
     tried.cache_clear()
     find_devices.cache_clear()
@@ -116,7 +141,7 @@ def index_of(handle: "cl.Device") -> str | None:
 def choose_device(spec: str = "auto", even_wrong: bool = False) -> Device:
     """Choose the device that a user specifies: the first usable one of those that are meant.
 
-    The devices that are meant are tried in the order of `preference`, and none after the first
+    The devices that are meant are tried in the order of `in_order`, and none after the first
     usable one. "auto" (or "opencl") means the devices that ``PYOPENCL_CTX`` names, if it is set,
     and else all. Another text is an index such as "0:1", or part of a device's or platform's name.
     With `even_wrong` a device that computes wrong results is chosen if no usable one is meant.
@@ -127,7 +152,7 @@ def choose_device(spec: str = "auto", even_wrong: bool = False) -> Device:
     _check_variables()
     meant = _meant(spec)
     refused = []
-    for index, _ in sorted(meant, key=lambda entry: preference(entry[1])):
+    for index, _ in in_order(meant):
         device = tried(index)
         if device.usable:
             return device

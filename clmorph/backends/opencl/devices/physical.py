@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
-from clmorph.backends.opencl.devices.device import Device, preference
-from clmorph.backends.opencl.devices.find import raw_devices, tried
+from clmorph.backends.opencl.devices.device import Device
+from clmorph.backends.opencl.devices.find import in_order, raw_devices, tried
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -18,7 +18,7 @@ def physical_devices() -> tuple[Device, ...]:
     """
     found: dict[Any, Device] = {}
     numbers: dict[tuple[str, str], int] = {}
-    for index, handle in sorted(raw_devices(), key=lambda entry: preference(entry[1])):
+    for index, handle in in_order(raw_devices()):
         name = " ".join(handle.name.split())
         same = handle.platform.name, name
         numbers[same] = numbers.get(same, -1) + 1

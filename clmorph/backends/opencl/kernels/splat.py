@@ -30,6 +30,8 @@ MARGIN = 1
 #: For splats with individual widths, moments are used for widths from `sigma` to this multiple of
 #: `sigma`, and the sides of bins are chosen for these widths.
 WIDEST = 2
+#: Launches over more particles than this take a multiple of it.
+WHOLE_GROUPS = 64
 
 
 class Splatting:
@@ -121,10 +123,17 @@ class Splatting:
         return replace(splats, samples=scaled, width_levels=levels)
 
     def _over_particles(self, name: str, count: int, *arguments: Any) -> None:
-        """Run a kernel with one work-item per particle, in launches of a bounded size."""
-        for first in range(0, count, launches.LAUNCH_PARTICLES):
+        """Run a kernel with one work-item per particle, in launches of a bounded size.
+
+        Drivers choose the size of work-groups, 1 for a prime number of items. So the last few are a
+        launch of their own.
+        """
+        first = 0
+        while first < count:
             items = min(launches.LAUNCH_PARTICLES, count - first)
+            items = items // WHOLE_GROUPS * WHOLE_GROUPS or items
             self._run(name, (items,), None, np.uint32(first), *arguments)
+            first += items
 
     def width_levels(self, splats: Splats) -> NDArray[np.int64]:
         """Return the width level of each splat; see `clmorph.backends.interface.Operations`."""
