@@ -11,8 +11,8 @@ from clmorph.backends.interface import MEMORY
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
-from clmorph.backends.opencl.build.kernel_files import OPTIONAL
 from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.devices.verdicts import OPTIONAL
 from clmorph.backends.opencl.kernels import half_steps
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.backends.verification import iterations

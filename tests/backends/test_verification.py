@@ -22,7 +22,6 @@ from clmorph.backends.opencl import probe, verification
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program, programs
 from clmorph.backends.opencl.build.constants import choose_constants
-from clmorph.backends.opencl.build.kernel_files import OPTIONAL
 from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.programs import Programs, program_key, read_request
 from clmorph.backends.opencl.build.variants import (
@@ -36,6 +35,7 @@ from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
+from clmorph.backends.opencl.devices.verdicts import OPTIONAL
 
 ROW_FILES = "barycentric_projection.cl", "log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl"
 PLAIN = Variant("log_sum_exp.cl", 5)

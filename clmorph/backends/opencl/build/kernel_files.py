@@ -21,5 +21,3 @@ KERNELS = {
     "nearest_seeds.cl": ("nearest_seeds",),
     "gauss_transform.cl": ("sum_moments", "sum_rows", "sum_columns"),
 }  # fmt: skip
-#: Files of iterations: where the driver refuses or crashes on one, the host iterates instead.
-OPTIONAL = ("half_steps.cl", "sparse_half_steps.cl")

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.kernel_files import KERNELS as KERNELS
-from clmorph.backends.opencl.build.kernel_files import OPTIONAL
+from clmorph.backends.opencl.devices.verdicts import OPTIONAL
 
 
 @dataclass(frozen=True)

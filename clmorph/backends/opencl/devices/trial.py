@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from clmorph._shared.validation import check_number
-from clmorph.backends.opencl.build.kernel_files import OPTIONAL
-from clmorph.backends.opencl.devices.verdicts import CRASHED, save_program_verdict
+from clmorph.backends.opencl.devices.verdicts import CRASHED, OPTIONAL, save_program_verdict
 
 #: Time limit in seconds to build and check a program, and the variable that changes it.
 PROBE_SECONDS = 60.0

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: What the reason of a verdict begins with if results were wrong: no crash, no refusal.
 WRONG = "wrong result of "
+#: Files of iterations: where the driver refuses or crashes on one, the host iterates instead.
+OPTIONAL = ("half_steps.cl", "sparse_half_steps.cl")
 #: What the reason of a verdict begins with if the driver ended the process of the check.
 CRASHED = "its driver crashed"
 #: The folders of verdicts on devices and on programs in the cache, with one file for each verdict.
