@@ -50,9 +50,10 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
     if index not in found:
         return _failure("its probe did not find it", lasting=False)
     constants, variants = None, list(usual_variants())
-    device, speed, skipped = found[index], 0.0, ""
-    if request is not None and request.startswith(WITHOUT):
-        request, skipped = None, request
+    device, speed = found[index], 0.0
+    skipped = request.split() if request and request.startswith(WITHOUT) else []
+    if skipped:
+        request = None
     try:
         if request == FURTHER:
             constants, variants = choose_constants(device), list(further_variants())
@@ -63,7 +64,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
             # A tuned build is no reason to refuse the device; it is verified when it is used.
             constants = choose_constants(device)
             variants = [each for each in variants if each.suits(constants)]
-            variants = [each for each in variants if each.file not in skipped.split()]
+            variants = [each for each in variants if each.file not in skipped]
         operations = OpenCLOperations(device, constants, verify=False)
         failures = []
         for variant in variants:
