@@ -25,11 +25,12 @@ from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import apply_quirks, cpu_constants, gpu_constants
 from clmorph.backends.opencl.devices import verdicts
 from clmorph.backends.opencl.devices.find import Device, find_devices, tried
+from clmorph.backends.opencl.devices.quirks import find_quirks
 
 DEVICES = find_devices()
 USABLE = [device for device in DEVICES if device.usable]
-#: The devices to test: all usable ones, or those that `--device` names.
-TESTED = list(USABLE)
+#: The devices to test: all usable ones whose compilers take vectors, or those that `--device` names.
+TESTED = [device for device in USABLE if "no_vectors" not in find_quirks(device.handle)]
 #: Comma-separated parts of names that CI requires among the tested devices; names of programs
 #: are for the tests that need them.
 REQUIRED = set(os.environ.get("CLMORPH_TEST_REQUIRE", "").split(",")) - {"", *PROGRAMS}

@@ -92,6 +92,10 @@ def test_the_order_is_what_devices_announce(pretend):
         assert chosen() is order[number]
         assert chosen("opencl") is order[number]
         assert asked == [f"{len(rest) - 1}:0"]  # no other device was tried
+    old, pocl = handle(platform=POCL), handle(platform=POCL)
+    old.platform.version = "OpenCL 3.0 PoCL 3.0-rc2  Linux, Release"
+    pretend(old, pocl)
+    assert chosen() is pocl
     wide, narrow = handle(native_vector_width_float=16), handle(max_clock_frequency=4000)
     pretend(narrow, wide)
     assert chosen() is wide

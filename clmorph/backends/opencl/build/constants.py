@@ -210,6 +210,8 @@ def apply_quirks(constants: BuildConstants, quirks: frozenset[str]) -> BuildCons
         made = replace(made, group=min(made.group, 16), tile_group=min(made.tile_group, 4))
     if "inexact_exp2" in quirks:
         made = replace(made, exp2_builtin=0)
+    if "no_vectors" in quirks:
+        made = replace(made, width=1, unroll=min(made.unroll, 8))
     if "no_float64" in quirks:
         made = replace(made, precise=1)
     if "short_loops" in quirks:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 #: Parts of the names of platforms whose CPU devices come before and after all others, by the
 #: measured speed of morphs: first to last.
 _FAST_CPU_PLATFORMS = "intel", "portable computing language"
-_SLOW_CPU_PLATFORMS = ("rusticl",)
+_SLOW_CPU_PLATFORMS = "rusticl", "pocl 3.0-rc2"
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def preference(handle: "cl.Device") -> tuple[int, int, int, int]:
         return 0, int(shares_host_memory(handle)), 0, power
     if not handle.type & cl.device_type.CPU:
         return 1, 0, 0, power
-    platform = handle.platform.name.lower()
+    platform = f"{handle.platform.name} {handle.platform.version}".lower()
     fast, slow = _FAST_CPU_PLATFORMS, _SLOW_CPU_PLATFORMS
     rank = next((rank for rank, name in enumerate(fast) if name in platform), len(fast))
     if any(name in platform for name in slow):

@@ -20,6 +20,7 @@ QUIRKS = {
     "inexact_exp2": "the built-in exp2 is off by more than a few units: a polynomial instead",
     "small_local_memory": "under 8 KiB of local memory: tiles of 16 points",
     "short_loops": f"loops end after {LONGEST_LOOP} rounds in all, in silence: shorter launches",
+    "no_vectors": "the compiler of PoCL 3.0 from pip crashes or hangs on vectors: scalars",
     "no_float64": "no double precision: precise exponents are sums of two float32",
 }
 
@@ -27,6 +28,8 @@ QUIRKS = {
 INEXACT_EXP2: tuple[str, ...] = ()
 #: Parts of the names, in lower case, of devices that end long loops.
 SHORT_LOOPS = ("llvmpipe",)
+#: Parts of the versions, in lower case, of platforms whose compiler fails on vectors.
+NO_VECTORS = ("pocl 3.0-rc2",)
 
 
 def find_quirks(device: cl.Device) -> frozenset[str]:
@@ -38,6 +41,8 @@ def find_quirks(device: cl.Device) -> frozenset[str]:
         found |= {"inexact_exp2"}
     if any(part in device.name.lower() for part in SHORT_LOOPS):
         found |= {"short_loops"}
+    if any(part in device.platform.version.lower() for part in NO_VECTORS):
+        found |= {"no_vectors"}
     if device.local_mem_size < 8192:
         found |= {"small_local_memory"}
     if not has_float64(device):
