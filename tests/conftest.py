@@ -29,7 +29,7 @@ from clmorph.backends.opencl.devices.quirks import find_quirks
 
 DEVICES = find_devices()
 USABLE = [device for device in DEVICES if device.usable]
-#: The devices to test: all usable ones whose compilers take vectors, or those that `--device` names.
+#: The devices to test: all usable ones with vectors, or those that `--device` names.
 TESTED = [device for device in USABLE if "no_vectors" not in find_quirks(device.handle)]
 #: Comma-separated parts of names that CI requires among the tested devices; names of programs
 #: are for the tests that need them.

@@ -7,7 +7,7 @@ import pytest
 
 #: What CLMORPH_TEST_REQUIRE can name beside devices, and the programs that it stands for.
 PROGRAMS = {
-    "clang": ("clang",),
+    "clang": ("clang-19", "clang"),
     "chromium": ("chromium", "chromium-browser", "google-chrome"),
     "ffmpeg": ("ffmpeg",),
     "ffprobe": ("ffprobe",),

@@ -1,0 +1,132 @@
+"""Compile kernels for graphics cards, and compare registers and memory with a table of limits.
+
+    python tools/kernel_limits.py [--renew]
+
+Nothing is run: clang 19 compiles the build that cards get, with ``stand_ins.cl`` in place of their
+vendors' libraries, and ptxas goes on for NVIDIA's. For each kernel ``kernel_limits.toml`` has the
+most registers of a work-item, bytes of it that are spilled or lie in memory, and bytes of local
+memory of a work-group, of all variants. The exit code is 1 where a kernel passes its limits, or has
+none. ``--renew`` writes the table: registers in steps of 8, because compilers differ by a few.
+
+ptxas comes with CUDA, and in the wheel nvidia-cuda-nvcc-cu12.
+"""
+
+import re
+import subprocess
+import sys
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from clmorph import cl_kernels
+from clmorph.backends.opencl.build.constants import gpu_constants
+from clmorph.backends.opencl.build.program import build_options
+from clmorph.backends.opencl.build.variants import Variant, all_variants
+
+TABLE = Path(__file__).with_suffix(".toml")
+FOLDER = Path(cl_kernels.__file__).parent
+NVIDIA, AMD = ("sm_80", "sm_90"), ("gfx90a", "gfx1100")
+TARGETS = (*NVIDIA, *AMD)
+CLANG = [
+    "clang-19", "-x", "cl", "-Xclang", "-finclude-default-header", "-include",
+    str(Path(__file__).with_name("stand_ins.cl")), "-O3", "-S",
+]  # fmt: skip
+#: What ptxas says of each kernel, in its order, and what the metadata of AMD's assembly say.
+PTXAS = re.compile(
+    r"entry function '(\w+)'.*?(\d+) bytes stack frame, (\d+) bytes spill stores.*?"
+    r"Used (\d+) registers(?:.*?(\d+) bytes smem)?", re.DOTALL,
+)  # fmt: skip
+METADATA = re.compile(
+    r"\.group_segment_fixed_size: (\d+).*?\.name: +(\w+).*?\.private_segment_fixed_size: (\d+).*?"
+    r"\.vgpr_count: +(\d+)", re.DOTALL,
+)  # fmt: skip
+
+#: Registers, bytes spilled or in memory, and bytes of local memory.
+Numbers = tuple[int, int, int]
+
+
+def measure(target: str, variant: Variant) -> dict[str, Numbers]:
+    """Return the numbers of the kernels of a variant, by name."""
+    options = build_options(variant.macros(gpu_constants(64)))
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "kernels.s"
+        if target in NVIDIA:
+            own = ["-target", "nvptx64-nvidia-cuda", f"-march={target}"]
+        else:
+            own = ["-target", "amdgcn-amd-amdhsa", "-nogpulib", f"-mcpu={target}"]
+        _run([*CLANG, *own, *options, "-o", str(file), str(FOLDER / variant.file)])
+        if target in NVIDIA:
+            said = _run(["ptxas", "-v", f"-arch={target}", "-o", f"{file}.bin", str(file)])
+            # Local memory may be missing, so that each kernel's part is searched alone.
+            return {
+                name: (int(registers), int(stack) + int(spilled), int(local or 0))
+                for each in re.split(r"(?=ptxas info +: Compiling entry)", said)
+                for name, stack, spilled, registers, local in PTXAS.findall(each)
+            }
+        return {
+            name: (int(registers), int(private), int(local))
+            for local, name, private, registers in METADATA.findall(file.read_text())
+        }
+
+
+def _run(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(command)}:\n{done.stderr}")
+    return done.stdout + done.stderr
+
+
+def measure_all(variants: tuple[Variant, ...]) -> dict[str, dict[str, Numbers]]:
+    """Return the largest numbers of each kernel, "file:kernel", over variants, by target."""
+    pairs = [(target, variant) for target in TARGETS for variant in variants]
+    with ThreadPoolExecutor() as pool:
+        made = pool.map(lambda pair: measure(*pair), pairs)
+    found: dict[str, dict[str, Numbers]] = {target: {} for target in TARGETS}
+    for (target, variant), numbers in zip(pairs, made, strict=True):
+        assert numbers, f"no numbers of {variant} for {target}"
+        for kernel, own in numbers.items():
+            name = f"{variant.file}:{kernel}"
+            found[target][name] = tuple(map(max, own, found[target].get(name, own)))
+    return found
+
+
+def complaints(
+    found: dict[str, dict[str, Numbers]], limits: dict[str, dict[str, list[int]]]
+) -> list[str]:
+    """Return in sentences which kernels pass their limits, or have none."""
+    words = "registers", "bytes spilled or in memory", "bytes of local memory"
+    said = []
+    for target, kernels in found.items():
+        for name, numbers in kernels.items():
+            most = limits.get(target, {}).get(name)
+            if most is None:
+                said.append(f"{target}: {name} has no limits")
+                continue
+            said += [
+                f"{target}: {name} takes {number} {word}; the limit is {limit}"
+                for number, limit, word in zip(numbers, most, words, strict=True)
+                if number > limit
+            ]
+    return said
+
+
+def main() -> int:
+    found = measure_all(all_variants())
+    if "--renew" in sys.argv[1:]:
+        lines = []
+        for target, kernels in found.items():
+            lines.append(f"\n[{target}]")
+            for name, (registers, spilled, local) in sorted(kernels.items()):
+                lines.append(f'"{name}" = [{-(-registers // 8) * 8}, {spilled}, {local}]')
+        TABLE.write_text("\n".join(lines).lstrip() + "\n")
+        return 0
+    said = complaints(found, tomllib.loads(TABLE.read_text()))
+    print("\n".join(said) or f"{sum(map(len, found.values()))} kernels are within their limits")
+    if said:
+        print("limits that must change are renewed by: python tools/kernel_limits.py --renew")
+    return 1 if said else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
