@@ -113,7 +113,7 @@ def test_a_warning_is_noticed(tmp_path):
     """Such as what OpenCL C 1.2 lacks, and an index of a wrong type."""
     clang = program("clang")
     for text in (
-        "__kernel void k(__global int* p) { p[0] = sub_group_all(1); }",
+        "__kernel void k(__global int* p) { p[0] = work_group_all(1); }",
         "__kernel void k(__global int* p) { float x = 1.0f; p[0] = 1; }",
         "__kernel void k(const size_t n, __global int* p) { p[0] = (int)n; }",
     ):
