@@ -1,9 +1,14 @@
-"""Atomic output: files appear whole or not at all, and never replace an input of the same run."""
+"""Atomic output: files appear whole or not at all, and never replace an input of the same run.
+
+Standard output is a target too: what was made whole in a temporary file is copied to it, so that
+formats whose writers seek can be piped.
+"""
 
 import errno
 import os
 import shutil
 import stat
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -11,7 +16,7 @@ from os import PathLike
 from pathlib import Path
 
 from clmorph._shared.printable import printable, reason_of
-from clmorph._shared.signals import note_written, undisturbed
+from clmorph._shared.signals import note_partial, note_written, undisturbed
 from clmorph._shared.staging import PREFIX, is_staging, staging_folder
 from clmorph.errors import InputError, OutputError
 
@@ -22,6 +27,18 @@ LONGEST_ENDING = 16
 MANY = 16
 #: Error numbers of file systems that cannot flush a single file.
 NO_FLUSH = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EROFS)
+#: The name by which standard output is a target, on all systems, and its other names.
+STANDARD_OUTPUT = Path("/dev/stdout")
+_OTHER_NAMES = (Path("/dev/fd/1"), Path("/proc/self/fd/1"))
+#: What is said of standard output without a format.
+NO_ENDING = (
+    "standard output has no ending, which would say the format: expected --format (format) with it"
+)
+
+
+def is_standard_output(target: str | PathLike[str]) -> bool:
+    """Return whether a path is a name of standard output."""
+    return Path(target) in (STANDARD_OUTPUT, *_OTHER_NAMES)
 
 
 def check_place(target: str | PathLike[str]) -> Path:
@@ -33,7 +50,9 @@ def check_place(target: str | PathLike[str]) -> Path:
     if not isinstance(target, str | PathLike) or not str(target):
         raise OutputError(f"{target!r} is not a path; expected one such as 'out.gif'")
     if str(target) == "-":
-        raise OutputError("-: nothing is written to standard output; name a file, such as out.gif")
+        raise OutputError(f"-: expected the name of a file, or {STANDARD_OUTPUT}")
+    if is_standard_output(target):
+        return _checked_stream()
     try:
         # A link stays a link: its destination is replaced, as by any other program.
         place = Path(target).resolve()
@@ -56,9 +75,25 @@ def check_place(target: str | PathLike[str]) -> Path:
     return place
 
 
+def _checked_stream() -> Path:
+    """Return the place of standard output, or raise OutputError if it takes no bytes."""
+    if sys.stdout.isatty():
+        raise OutputError(
+            "standard output is a terminal, which shows no pictures: pipe it into a program, or "
+            "name a file"
+        )
+    try:
+        sys.stdout.fileno()
+    except (AttributeError, OSError):
+        raise OutputError("standard output takes text alone here; name a file") from None
+    return STANDARD_OUTPUT
+
+
 def check_file_place(target: str | PathLike[str]) -> Path:
     """Return the path at which a file can be written, as `check_place` does; refuse a folder."""
     place = check_place(target)
+    if place == STANDARD_OUTPUT:
+        return place
     if place.is_dir():
         raise OutputError(f"{target} is a folder; choose a file name")
     return place
@@ -67,8 +102,11 @@ def check_file_place(target: str | PathLike[str]) -> Path:
 def home_of(place: Path) -> Path:
     """Return the folder in which temporary files for a target are made, on its file system.
 
-    An existing target folder is returned itself: it may be the mount point of another disk.
+    An existing target folder is returned itself: it may be the mount point of another disk. What
+    goes to standard output waits in the system's temporary folder.
     """
+    if place == STANDARD_OUTPUT:
+        return Path(tempfile.gettempdir())
     return place if place.is_dir() else place.parent
 
 
@@ -172,6 +210,9 @@ def atomic_paths(targets: Sequence[str | PathLike[str]]) -> Iterator[list[Path]]
     cannot be replaced, all targets stay as they were. No temporary file remains in any case. New
     data are flushed to the disk before they replace a target. A replaced file keeps its permissions
     and, where the system allows it, its owner.
+
+    What is for standard output is copied to it before the other targets are replaced. If its reader
+    has closed the pipe, they are replaced all the same, and then BrokenPipeError is raised.
     """
     places = [check_place(target) for target in targets]
     with ExitStack() as stack:
@@ -181,18 +222,37 @@ def atomic_paths(targets: Sequence[str | PathLike[str]]) -> Iterator[list[Path]]
                 folder = stack.enter_context(staging_folder(home_of(place)))
                 made.append(folder / _new_name(place))
         yield list(made)
-        for target, place, new in zip(targets, places, made, strict=True):
+        ready = list(zip(targets, places, made, strict=True))
+        files = [each for each in ready if each[1] != STANDARD_OUTPUT]
+        piped = [new for _, place, new in ready if place == STANDARD_OUTPUT]
+        for target, place, new in files:
             with errors_as_output(target):
                 _keep_rights(place, new)
                 _flush(new)
+        unread = [new for new in piped if not _copied_out(new)]
         with undisturbed(), ExitStack() as undo:
-            for target, place, new in zip(targets, places, made, strict=True):
+            for target, place, new in files:
                 with errors_as_output(target):
                     _put(new, place, undo)
             undo.pop_all()
             note_written()
-        for home in {place.parent for place in places}:
+        for home in {place.parent for _, place, _ in files}:
             _flush_folder(home)
+        if unread:
+            raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+
+def _copied_out(made: Path) -> bool:
+    """Copy a file to standard output; return False if its reader has closed the pipe."""
+    note_partial("a part was written to standard output")
+    sys.stdout.flush()
+    with errors_as_output("standard output"), suppress(BrokenPipeError), made.open("rb") as file:
+        # A stream of its own: bytes that cannot be written must not stay in that of `print`.
+        with open(sys.stdout.fileno(), "wb", closefd=False) as stream:
+            shutil.copyfileobj(file, stream)
+        note_partial("")
+        return True
+    return False
 
 
 def _new_name(place: Path) -> str:

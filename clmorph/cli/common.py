@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from clmorph._shared.files import check_place
+from clmorph._shared.files import check_place, is_standard_output
 from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
 from clmorph.errors import ImageWarning, InputError, OutputError
@@ -150,6 +150,11 @@ def recipe_places(outputs: Sequence[Path]) -> list[Path]:
     """Return the paths of the recipes beside outputs, or raise OutputError if one is a folder."""
     found = []
     for output in outputs:
+        if is_standard_output(output):
+            raise OutputError(
+                "--recipe writes beside a file, and standard output is none: leave it out, or name "
+                "a file"
+            )
         # Paths without a name, such as ``.``, are resolved.
         named = output if output.name not in ("", "..") else output.resolve()
         found.append(named.with_name(f"{named.name}.json") if named.name else named / ".json")

@@ -182,7 +182,9 @@ def _check_own(path: Path, users: Settings) -> None:
             raise InputError(
                 f"{path}: {OUTPUT} = {shown(users[OUTPUT])}: expected a file name, or several"
             )
-        users[OUTPUT] = [str(path.parent / output) for output in outputs]
+        users[OUTPUT] = [
+            output if output == "-" else str(path.parent / output) for output in outputs
+        ]
 
 
 def _recipe(path: Path, command: type[Options], mixes: bool) -> Settings:

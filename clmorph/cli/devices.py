@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from clmorph._shared.files import atomic_path, check_file_place
+from clmorph._shared.files import atomic_path, check_file_place, is_standard_output
 from clmorph._shared.printable import printable, reason_of
 from clmorph.backends.comparison import Finding
 from clmorph.backends.opencl.devices.cache import cache_folder
@@ -22,7 +22,7 @@ from clmorph.backends.opencl.devices.find import (
 )
 from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.cli.terminal import NOTES, RESULTS, note
-from clmorph.errors import ClmorphError, DeviceError
+from clmorph.errors import ClmorphError, DeviceError, OutputError
 
 _TRYING = "trying OpenCL devices (remembered from the second time on)"
 
@@ -159,6 +159,8 @@ def check_devices(
     check_kernel_names(kernels)
     devices = _choose(spec, every, even_wrong=spec is not None)
     if report is not None:
+        if is_standard_output(report):
+            raise OutputError("--report is a file, beside the lines that are printed; name one")
         check_file_place(report)  # before the comparison begins
     bundles = [_check_one(device, kernels) for device in devices]
     if report is not None:

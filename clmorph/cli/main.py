@@ -106,7 +106,7 @@ def _config_option(read: Reader, *, preset: bool = False) -> Callable[[Any], Any
         return found
 
     return click.option(
-        "--config", type=options.FileName(), is_eager=True, callback=settings, panel="Settings",
+        "--config", type=options.InputName(), is_eager=True, callback=settings, panel="Settings",
         help="Read options from your own TOML, or repeat a recipe: .json, or a file that clmorph "
         "wrote; its pictures are sought beside it and in the current folder.",
     )  # fmt: skip
@@ -136,7 +136,7 @@ def _pictures(images: tuple[Path, ...], config: files.Found | None) -> tuple[Pat
 
 
 @cli.command(epilog=_PRESETS, cls=options.LabeledCommand)
-@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
+@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.InputName())
 @options.file_options
 @options.preset_option
 @options.draft_option
@@ -285,7 +285,7 @@ def _counted(images: Sequence[Path]) -> str:
 
 
 @cli.command()
-@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
+@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.InputName())
 @options.file_options
 @_config_option(_rearrange_settings)
 @options.json_option
@@ -313,13 +313,13 @@ def rearrange(context: click.RichContext, /, **given: Any) -> None:
 
 
 @cli.command()
-@click.argument("images", metavar="PHOTO LIKE", nargs=-1, type=options.FileName())
+@click.argument("images", metavar="PHOTO LIKE", nargs=-1, type=options.InputName())
 @options.picture_options
 @_config_option(_recolor_settings)
 @options.json_option
 @options.recolor_options
 @click.option(
-    "--mask", type=options.FileName(), panel="Color",
+    "--mask", type=options.InputName(), panel="Color",
     help="A picture of the size of PHOTO: white where it is recolored, black where it stays.",
 )  # fmt: skip
 @click.option(
@@ -361,7 +361,7 @@ def recolor(context: click.RichContext, /, **given: Any) -> None:
 
 
 @cli.command(epilog=_PRESETS)
-@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
+@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.InputName())
 @click.option(
     "--grid", metavar="ROWSxCOLUMNS", panel="Mixes",
     help="Number of mixes along the sides: a row between two pictures (7), a triangle between "
@@ -419,7 +419,7 @@ def mix(context: click.RichContext, /, **given: Any) -> None:
 
 
 @cli.command(epilog=_PRESETS, cls=options.LabeledCommand)
-@click.argument("images", metavar="A B", nargs=-1, type=options.FileName())
+@click.argument("images", metavar="A B", nargs=-1, type=options.InputName())
 @click.option(
     "-o", "--output", type=options.OutputName(), panel="File",
     help="Draw a picture too: .png, .svg or .pdf.",

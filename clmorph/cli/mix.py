@@ -36,7 +36,7 @@ def run_mix(request: Request) -> None:
     grid = grid_sides("--grid", shown["grid"]) if "grid" in shown else None
     if weights is None:
         grid_layout(count, grid)  # raises an error before pictures are read
-    places = [Output(output, request.format) for output in request.outputs]
+    places = request.places()
     request.check_files()
     n_stops = 0 if stops is None else len(stops)
     check_outputs(places, n_stops, request.options)

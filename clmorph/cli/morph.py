@@ -24,7 +24,7 @@ from clmorph.cli.common import (
     note_warning,
     read_beside,
 )
-from clmorph.cli.request import Request
+from clmorph.cli.request import Request, places_of
 from clmorph.cli.terminal import Stages, note, say
 from clmorph.errors import (
     ConvergenceWarning,
@@ -126,10 +126,7 @@ class _Run:
 
 def run_morph(request: Request) -> None:
     """Morph each picture into the next one, write the output files, and print a summary."""
-    outputs, images = request.outputs, request.images
-    if request.format is not None and len(outputs) > 1:
-        raise InputError("--format is for one output: leave it out, or write one at a time")
-    places = [Output(output, request.format) for output in outputs]
+    images, places = request.images, request.places()
     request.check_files()
     run = _Run(images, request.options, places)
     whole = request.read()
@@ -273,7 +270,7 @@ def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
 
 def announce_idle(names: Sequence[str], outputs: Sequence[Path], format: str | None) -> None:
     """Print a note about options that have no effect on any output."""
-    formats = [Output(output, format).format for output in outputs]
+    formats = [place.format for place in places_of(outputs, format)]
     for name in (*SIZES, *PACE, "lossless"):
         if name in names and not any(name in kind.relevant_options for kind in formats):
             places = ", ".join(str(output) for output in outputs)

@@ -2,12 +2,16 @@
 
 import os
 import re
+import shutil
+import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import rich_click as click
 
+from clmorph._shared.files import STANDARD_OUTPUT, errors_as_output
 from clmorph._shared.options import (
     Option,
     Options,
@@ -16,6 +20,7 @@ from clmorph._shared.options import (
     specifications,
     to_outside,
 )
+from clmorph._shared.staging import staging_folder
 from clmorph.errors import InputError
 from clmorph.frames.options import RenderOptions
 from clmorph.images.pixels import MAX_PIXELS
@@ -45,11 +50,43 @@ class FileName(click.Path):
         return super().convert(value, param, ctx)
 
 
-class OutputName(FileName):
-    """The name of an output file or folder."""
+class InputName(FileName):
+    """The name of a file that is read; ``-`` stands for standard input."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:  # noqa: D102 (click's)
         path = super().convert(value, param, ctx)
+        if not ctx or ctx.resilient_parsing or not _is_stream(str(value)):
+            return path
+        if str(value) == "-" and sys.stdin.isatty():
+            self.fail("- is a terminal here; pipe a file into it, or name one.", param, ctx)
+        # Files are opened several times, and their readers seek.
+        home = Path(tempfile.gettempdir())
+        with errors_as_output(home):
+            folder = ctx.find_root().with_resource(staging_folder(home))
+            copy = folder / ("standard-input" if str(value) == "-" else path.name)
+            source = sys.stdin.fileno() if str(value) == "-" else path
+            with open(source, "rb", closefd=source is path) as stream, copy.open("wb") as file:
+                shutil.copyfileobj(stream, file)
+        if not copy.stat().st_size:
+            self.fail(f"{value} is empty, or was read already; expected a file.", param, ctx)
+        return copy
+
+
+def _is_stream(name: str) -> bool:
+    """Return whether a name stands for standard input or another open pipe of this process."""
+    if name == "-":
+        return True
+    opened = re.fullmatch(r"/dev/stdin|/(dev|proc/self)/fd/\d+", name)
+    return opened is not None and Path(name).is_fifo()
+
+
+class OutputName(FileName):
+    """The name of an output file or folder; ``-`` stands for standard output."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:  # noqa: D102 (click's)
+        path = super().convert(value, param, ctx)
+        if path == Path("-"):
+            return STANDARD_OUTPUT if str(value) == "-" else path.absolute()
         ends = tuple(separator for separator in (os.sep, os.altsep) if separator)
         files = {ending for format in FORMATS.values() for ending in format.endings if ending}
         if str(value).endswith(ends) and path.suffix.lower() in files:
@@ -261,7 +298,8 @@ file_options = _together(
         "File", "-o", "--output", type=OutputName(),
         multiple=True,
         help="Where to write, once or more; the ending says what: .gif .webp .apng .mp4 .webm "
-        ".html, .png (contact sheet), .npz (NumPy), .tif; without one a folder of PNG frames.",
+        ".html, .png (contact sheet), .npz (NumPy), .tif; without one a folder of PNG frames; - "
+        "with --format: to standard output.",
     ),
     _option(
         "File", "--format", type=click.Choice(list(FORMATS)),
@@ -274,7 +312,12 @@ file_options = _together(
 picture_options = _together(
     _option(
         "File", "-o", "--output", type=OutputName(), multiple=True,
-        help=f"Where to write, once or more: {', '.join(WRITERS)}. TIFF has 16 bits.",
+        help=f"Where to write, once or more: {', '.join(WRITERS)}, TIFF has 16 bits; - with "
+        "--format: to standard output.",
+    ),
+    _option(
+        "File", "--format", type=click.Choice([ending[1:] for ending in WRITERS]),
+        help="Format of the file, in place of what its ending says.",
     ),
     _recipe_option,
 )  # fmt: skip
@@ -306,13 +349,13 @@ device_options = _together(
 
 map_options = _together(
     _option(
-        "Transport", "--labels", type=FileName(), nargs=2, metavar="A B|auto",
+        "Transport", "--labels", type=InputName(), nargs=2, metavar="A B|auto",
         help="Label images of both pictures, of their sizes: gray levels, indices of a palette or "
         "colors of PNG files, or .npy. Mass never changes its label. auto: people, or what is not "
         "transparent.",
     ),
     _option(
-        "Transport", "--features", type=FileName(), nargs=2, metavar="A B",
+        "Transport", "--features", type=InputName(), nargs=2, metavar="A B",
         help="Further coordinates of the cost for each pixel, such as depth: .npy or pictures. "
         "--feature-weight scales them.",
     ),

@@ -23,7 +23,7 @@ from clmorph.pipeline.rearrangement import Rearrangement
 def run_rearrange(request: Request) -> None:
     """Move the pixels of the first picture into each next one; write files and a summary."""
     images, options = request.images, request.options
-    places = [Output(output, request.format) for output in request.outputs]
+    places = request.places()
     request.check_files()
     motion = motion_of(options, held_frames(len(images), options.n_frames))
     for place in places:

@@ -25,7 +25,7 @@ def run_recolor(request: Request, size: int) -> None:
     """
     options = request.options
     request.check_files()
-    places = [check_picture_place(output) for output in request.outputs]
+    places = list(map(check_picture_place, request.outputs, request.formats()))
     luts = request.tables
     tables = [(check_cube_place(lut), lut) for lut in luts]
     photo, like = map(as_unit, request.read())
@@ -38,10 +38,14 @@ def run_recolor(request: Request, size: int) -> None:
         found = recolored(photo, like, options, mask, operations, stages, table)
         stages("files", 0.0)
         parameters = request.metadata(options, operations)
-        write = partial(write_picture, found, parameters)
         write_together(
             [
-                *((*each, write) for each in zip(places, request.outputs, strict=True)),
+                *(
+                    (place, path, partial(write_picture, found, parameters, format=format))
+                    for place, path, format in zip(
+                        places, request.outputs, request.formats(), strict=True
+                    )
+                ),
                 *(
                     (*each, partial(write_cube, table.reshape(size, size, size, 3)))
                     for each in tables

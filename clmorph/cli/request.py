@@ -10,11 +10,13 @@ from typing import Any
 
 import click
 
-from clmorph._shared.files import check_apart
+from clmorph._shared.files import check_apart, is_standard_output
 from clmorph._shared.options import Options
 from clmorph.backends.interface import Operations
 from clmorph.cli.common import beside_entries, open_backend, read_picture, recipe_places
 from clmorph.cli.terminal import Stages
+from clmorph.errors import InputError
+from clmorph.output.save import Output
 from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.recipe import picture_entries, recipe
 
@@ -55,6 +57,14 @@ class Request:
     def recipes(self) -> list[Path]:
         """Paths of the recipes that are written."""
         return recipe_places(self.outputs) if self.recipe else []
+
+    def places(self) -> list[Output]:
+        """Return the outputs in their formats."""
+        return places_of(self.outputs, self.format)
+
+    def formats(self) -> list[str | None]:
+        """Return the format of each output; None if its ending says it."""
+        return _formats(self.outputs, self.format)
 
     def check_files(self) -> None:
         """Raise an error if a file that is read would be overwritten."""
@@ -99,4 +109,21 @@ class Request:
         seconds = {name: round(value, 3) for name, value in stages.seconds.items()}
         seconds["total"] = round(time.perf_counter() - self.began, 3)
         summary["seconds"] = seconds
-        click.echo(json.dumps(summary) if self.as_json else last_line(summary))
+        text = json.dumps(summary) if self.as_json else last_line(summary)
+        click.echo(text, err=any(map(is_standard_output, self.outputs)))
+
+
+def places_of(outputs: Sequence[Path], format: str | None) -> list[Output]:
+    """Return outputs in the format asked for, or in those of their endings."""
+    return list(map(Output, outputs, _formats(outputs, format)))
+
+
+def _formats(outputs: Sequence[Path], format: str | None) -> list[str | None]:
+    """Return the format of each output; that asked for is, of several, standard output's."""
+    piped = [len(outputs) == 1 or is_standard_output(output) for output in outputs]
+    if format is not None and not any(piped):
+        raise InputError(
+            "--format is for one output, or for standard output among several: leave it out, or "
+            "write one at a time"
+        )
+    return [format if each else None for each in piped]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clmorph._shared.files import atomic_path, check_file_place
+from clmorph._shared.files import NO_ENDING, atomic_path, check_file_place, is_standard_output
 from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import is_path, shown
@@ -85,11 +85,16 @@ WRITERS: dict[str, Callable[[Array, Mapping[str, Any], Path], None]] = {
 }
 
 
-def check_picture_place(path: str | PathLike[str]) -> Path:
-    """Return the path of a picture to be written, or raise OutputError if it cannot be written."""
+def check_picture_place(path: str | PathLike[str], format: str | None = None) -> Path:
+    """Return the path of a picture to be written, or raise OutputError if it cannot be written.
+
+    `format`, an ending without its dot, overrides the ending of the path.
+    """
     if not is_path(path):
         raise OutputError(f"path={shown(path)}: expected a path such as 'out.png'")
-    ending = Path(path).suffix.lower()
+    ending = Path(path).suffix.lower() if format is None else f".{format}"
+    if not ending and is_standard_output(path):
+        raise OutputError(NO_ENDING)
     if ending not in WRITERS:
         raise OutputError(
             f"{path}: unknown ending {printable(repr(ending), 40)}; expected "
@@ -98,9 +103,14 @@ def check_picture_place(path: str | PathLike[str]) -> Path:
     return check_file_place(path)
 
 
-def write_picture(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
-    """Write sRGB (H, W, 3 or 4) in [0, 1] and metadata to a new file in the ending's format."""
-    WRITERS[file.suffix.lower()](pixels, parameters, file)
+def write_picture(
+    pixels: Array, parameters: Mapping[str, Any], file: Path, format: str | None = None
+) -> None:
+    """Write sRGB (H, W, 3 or 4) in [0, 1] and metadata to a new file in the ending's format.
+
+    `format`, an ending without its dot, overrides the ending of the file.
+    """
+    WRITERS[file.suffix.lower() if format is None else f".{format}"](pixels, parameters, file)
 
 
 def write_image(

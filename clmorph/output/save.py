@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.files import (
+    NO_ENDING,
     check_file_place,
     check_place,
     errors_as_output,
     home_of,
     is_empty,
+    is_standard_output,
 )
 from clmorph._shared.options import Options, specifications, unknown_option
 from clmorph._shared.validation import check_choice, check_progress, is_path, shown
@@ -50,9 +52,16 @@ class Output:
         self.path = Path(path)
         if format is not None:
             self.format = FORMATS[check_choice("format", format, tuple(FORMATS))]
+        elif is_standard_output(self.path):
+            raise OutputError(NO_ENDING)
         else:
             self.format = _by_ending(self.path)
         self.name = self.format.name
+        if self.format.folder and is_standard_output(self.path):
+            raise OutputError(
+                f"format={self.name} is a folder, which standard output cannot hold; expected one "
+                "of " + ", ".join(kind.name for kind in FORMATS.values() if not kind.folder)
+            )
         self.format.check()
         is_folder = self.format.folder
         self.place = check_place(self.path) if is_folder else check_file_place(self.path)
@@ -132,6 +141,7 @@ def save(
         ``.gif``, ``.webp``, ``.apng`` (animated PNG), ``.mp4``, ``.webm``, ``.html`` (a page to
         play with), ``.png`` (a contact sheet), ``.npz`` (see `clmorph.load`), ``.tif`` (one
         page a frame), or no ending (a new folder of PNG frames). An existing file is replaced.
+        ``/dev/stdout`` is standard output, on all systems; it needs `format`.
     format : str, optional
         A name of `FORMATS`, in place of the ending.
     parameters : mapping, optional

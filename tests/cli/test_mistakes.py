@@ -61,7 +61,7 @@ FILES = [
     ("nan.tif b.jpg -o x.gif", "NaN"),
 ]
 OUTPUTS = [
-    ("a.png b.jpg -o -", "nothing is written to standard output; name a file"),
+    ("a.png b.jpg -o -", "expected --format"),
     ("a.png b.jpg -o x.mp3", "unknown ending '.mp3'"),
     ("a.png b.jpg -o x.jpeg", "expected .gif, .webp"),
     ("a.png b.jpg -o no/x.gif", "no folder"),

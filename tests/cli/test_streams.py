@@ -1,0 +1,269 @@
+"""Pictures through pipes: ``-`` for standard input and standard output, with real programs."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from programs import program
+
+import clmorph
+from clmorph.output.save import FORMATS
+
+COMMAND = Path(sys.executable).with_name("clmorph")
+QUICK = ["--frames", "3", "--backend", "numpy", "--size", "8", "--blur", "0.2"]
+MORPH = ["morph", "a.png", "b.jpg", *QUICK]
+FILES = [name for name, kind in FORMATS.items() if not kind.folder]
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="shells of POSIX")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch, rng):
+    """Two small pictures in the current folder, and a temporary folder of the test's own."""
+    (tmp_path / "work").mkdir()
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    for name, shape in (("a.png", (12, 20, 3)), ("b.jpg", (15, 9, 3))):
+        Image.fromarray(rng.integers(0, 255, shape, np.uint8)).save(name)
+    yield tmp_path
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
+def run(*arguments, given=b"", **options):
+    """Run the command with pipes as its streams."""
+    return subprocess.run(
+        [COMMAND, *arguments], input=given, capture_output=True, check=False, **options
+    )
+
+
+def shell(line):
+    """Run a line of a shell; `clmorph` is the command."""
+    line = line.replace("clmorph", f"'{COMMAND}'")
+    return subprocess.run(["bash", "-o", "pipefail", "-c", line], capture_output=True, check=False)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_bytes_of_a_file(name):
+    """What a pipe gets is what a file of this format holds."""
+    if name in ("mp4", "webm"):
+        pytest.importorskip("av")
+    done = run(*MORPH, "-o", "-", "--format", name)
+    assert done.returncode == 0, done.stderr
+    assert b"/dev/stdout: 3 frames" in done.stderr
+    assert run(*MORPH, "-o", "file", "--format", name).returncode == 0
+    assert done.stdout == Path("file").read_bytes()
+
+
+def test_programs_read_films():
+    pytest.importorskip("av")
+    ffprobe = program("ffprobe")
+    probe = f"{ffprobe} -v error -count_frames -show_entries stream=codec_name,nb_read_frames"
+    for name, codec in (("mp4", "h264"), ("webm", "vp9")):
+        for place in ("-", "/dev/stdout"):
+            line = f"clmorph {' '.join(MORPH)} -o {place} --format {name} | {probe} -of json -"
+            done = shell(line)
+            assert done.returncode == 0, done.stderr
+            (stream,) = json.loads(done.stdout)["streams"]
+            assert stream["codec_name"] == codec
+            assert int(stream["nb_read_frames"]) >= 3
+
+
+def test_every_command_pipes():
+    pictures = "a.png b.jpg --backend numpy"
+    for line, kind in (
+        (f"rearrange {pictures} --size 8 --frames 3 -o - --format webp", "WEBP"),
+        (f"mix {pictures} --size 8 --grid 3 -o - --format sheet", "PNG"),
+        (f"recolor {pictures} -o - --format tif", "TIFF"),
+        (f"recolor {pictures} -o - --format jpg", "JPEG"),
+    ):
+        done = run(*line.split())
+        assert done.returncode == 0, done.stderr
+        with Image.open(io.BytesIO(done.stdout)) as picture:
+            assert picture.format == kind
+            picture.load()
+    done = shell(
+        "clmorph recolor a.png b.jpg --backend numpy -o - --format png"
+        f" | clmorph morph - b.jpg -o - --format gif {' '.join(QUICK)} | clmorph inspect"
+        " - b.jpg --backend numpy --size 8"
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_standard_input_is_read_like_a_file():
+    data = Path("a.png").read_bytes()
+    assert run(*MORPH, "-o", "file.npz").returncode == 0
+    for name in ("-", "/dev/stdin"):
+        done = run("morph", name, "b.jpg", *QUICK, "-o", f"{name[-1]}.npz", given=data)
+        assert done.returncode == 0, done.stderr
+        both = clmorph.load(f"{name[-1]}.npz").frames, clmorph.load("file.npz").frames
+        assert all(map(np.array_equal, *both))
+    with Path("a.png").open("rb") as file:  # of a file, too, in place of a pipe
+        done = subprocess.run([COMMAND, "morph", "-", "b.jpg", *QUICK, "-o", "x.gif"], stdin=file)
+    assert done.returncode == 0
+    done = shell(f"clmorph morph <(cat a.png) <(cat b.jpg) {' '.join(QUICK)} -o y.gif")
+    assert done.returncode == 0, done.stderr
+    Image.new("L", (20, 12), 255).save("mask.png")
+    mask = Path("mask.png").read_bytes()
+    arguments = ["recolor", "a.png", "b.jpg", "--backend", "numpy", "--mask"]
+    assert run(*arguments, "-", "-o", "m.png", given=mask).returncode == 0
+    assert run(*arguments, "mask.png", "-o", "n.png").returncode == 0
+    assert np.array_equal(clmorph.read_image("m.png"), clmorph.read_image("n.png"))
+
+
+def test_settings_from_standard_input():
+    assert run(*MORPH, "-o", "x.gif").returncode == 0
+    again = run("morph", "--config", "-", "-o", "y.gif", "--backend", "numpy",
+                given=Path("x.gif").read_bytes())  # fmt: skip
+    assert again.returncode == 0, again.stderr
+    with Image.open("x.gif") as one, Image.open("y.gif") as other:
+        assert one.size == other.size
+        assert one.n_frames == other.n_frames
+
+
+def test_a_file_beside_it():
+    """The format is that of standard output; a file that is named has its ending's."""
+    done = run(*MORPH, "-o", "-", "-o", "x.webp", "--format", "gif", "--json")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(b"GIF89a")
+    assert Path("x.webp").read_bytes()[8:12] == b"WEBP"
+    told = json.loads(done.stderr.splitlines()[-1])
+    assert [each["path"] for each in told["outputs"]] == ["/dev/stdout", "x.webp"]
+
+
+def test_nothing_else_is_printed_there():
+    done = run(*MORPH, "-o", "-", "--format", "npz", "--json")
+    assert len(json.loads(done.stderr.splitlines()[-1])["outputs"]) == 1
+    Path("out.npz").write_bytes(done.stdout)
+    assert len(clmorph.load("out.npz").frames) == 3
+
+
+def test_into_a_file_of_the_shell():
+    """The file that the shell has opened is filled, and not replaced behind its back."""
+    for place in ("-", "/dev/stdout", "/dev/fd/1"):
+        done = shell(
+            f"( echo begin; clmorph {' '.join(MORPH)} -o {place} --format gif; echo end ) > all"
+        )
+        assert done.returncode == 0, done.stderr
+        data = Path("all").read_bytes()
+        assert data.startswith(b"begin\nGIF89a")
+        assert data.endswith(b";end\n")
+
+
+def test_a_reader_that_stops():
+    """`head` has what it wants, nobody complains, and a file beside it is written."""
+    big = [*MORPH, "--canvas", "900x900"]
+    done = shell(
+        f"set +o pipefail; clmorph {' '.join(big)} -o - -o x.gif --format apng | head -c 8;"
+        ' echo "${PIPESTATUS[0]}" >&2'
+    )
+    assert done.stdout == b"\x89PNG\r\n\x1a\n"
+    assert done.stderr.splitlines()[-1] == b"0"
+    assert b"error" not in done.stderr.lower()
+    assert b"Traceback" not in done.stderr
+    with Image.open("x.gif") as picture:
+        assert picture.n_frames == 3
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_leaves_no_file():
+    done = shell(f"clmorph {' '.join(MORPH)} -o - -o x.gif --format webp > /dev/full")
+    assert done.returncode == 2
+    assert b"standard output cannot be written (No space left on device)" in done.stderr
+    assert b"Traceback" not in done.stderr
+    assert b"Exception" not in done.stderr
+    assert not Path("x.gif").exists()
+
+
+def test_ctrl_c_while_nobody_reads():
+    """The pipe is full; the last line says that a part was written."""
+    big = [*MORPH, "--canvas", "900x900", "-o", "-", "-o", "x.gif", "--format", "tiff"]
+    with subprocess.Popen(
+        [COMMAND, *big], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout.read(4) == b"II*\0"
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 130
+        told = process.stderr.read().splitlines()
+    assert told[-1] == b"clmorph: interrupted, a part was written to standard output"
+    assert not Path("x.gif").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("morph a.png b.jpg -o -", "expected --format"),
+        ("recolor a.png b.jpg -o -", "expected --format"),
+        ("morph a.png b.jpg -o - --format png-folder", "is a folder, which standard output"),
+        ("morph a.png b.jpg -o - --format gif --recipe", "--recipe writes beside a file"),
+        ("morph a.png b.jpg -o - -o /dev/stdout --format gif", "two outputs have one name"),
+        ("morph a.png b.jpg -o x.gif -o y.gif --format gif", "--format is for one output"),
+        ("recolor a.png b.jpg -o x.png --export-lut -", "expected .cube"),
+        ("mix a.png b.jpg -o - --format gif", "mixes side by side are one picture"),
+        ("morph - b.jpg -o x.gif", "- is empty, or was read already"),
+        ("check --report /dev/stdout", "--report is a file"),
+    ],
+)
+def test_mistakes(arguments, words):
+    before = sorted(Path().iterdir())
+    done = run(*arguments.split())
+    assert (done.returncode, done.stdout) == (2, b"")
+    told = done.stderr.decode().splitlines()
+    assert len(told) == 1, told
+    assert words in told[0]
+    assert sorted(Path().iterdir()) == before
+
+
+def test_what_is_no_picture_or_read_twice():
+    done = run("morph", "-", "b.jpg", "-o", "x.gif", given=b"no picture")
+    assert done.returncode == 2
+    assert b"standard-input is not an image" in done.stderr
+    done = run("morph", "-", "-", "-o", "x.gif", given=Path("a.png").read_bytes())
+    assert done.returncode == 2
+    assert b"was read already" in done.stderr
+    assert not Path("x.gif").exists()
+
+
+def test_a_file_called_minus():
+    done = run(*MORPH, "-o", "./-", "--format", "gif")
+    assert done.returncode == 0, done.stderr
+    assert Path("./-").absolute().read_bytes().startswith(b"GIF89a")
+
+
+def test_terminals():
+    pty = pytest.importorskip("pty")
+    ours, theirs = pty.openpty()
+    try:
+        for arguments, streams, words in (
+            (["morph", "-", "b.jpg", "-o", "x.gif"], {"stdin": theirs}, b"- is a terminal"),
+            ([*MORPH, "-o", "-", "--format", "gif"], {"stdout": theirs}, b"is a terminal"),
+        ):
+            done = subprocess.run(
+                [COMMAND, *arguments], stderr=subprocess.PIPE, check=False, **streams
+            )
+            assert done.returncode == 2
+            assert words in done.stderr
+            assert done.stderr.count(b"\n") == 1
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_from_python():
+    code = (
+        "import numpy as np, clmorph; one, other = np.zeros((2, 6, 6, 3)); one[:3] = 1;"
+        "clmorph.morph(one, other, n_frames=3, backend='numpy').save('/dev/stdout', format='gif')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    with Image.open(io.BytesIO(done.stdout)) as picture:
+        assert picture.n_frames == 3
