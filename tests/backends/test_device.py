@@ -17,6 +17,7 @@ from clmorph import DeviceError, InputError
 from clmorph.backends import select as backends
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
+from clmorph.backends.opencl.build.constants import choose_constants
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import runtimes, trial, verdicts
@@ -134,6 +135,17 @@ def test_recorded_speeds_order_gpus_of_several_models(pretend, monkeypatch):
     asked = pretend(order[2], order[2])
     assert chosen() is order[2]
     assert asked == ["0:0"]  # twins need no measurement
+
+
+def test_apples_processor_gets_work_groups_of_one():
+    """It takes no larger ones for kernels with barriers, and has no float64."""
+    apple = handle(
+        "Apple M2", "Apple", max_work_group_size=1024, native_vector_width_float=4,
+        local_mem_size=32768, extensions="cl_APPLE_SetMemObjectDestructor",
+    )  # fmt: skip
+    constants = choose_constants(apple)
+    assert (constants.group, constants.tile_group, constants.precise) == (1, 1, 1)
+    assert constants.gauss_transform_macros()["MOMENT_GROUP"] == 1
 
 
 def test_the_search_ends_at_the_first_usable_device(pretend):

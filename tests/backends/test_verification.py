@@ -437,6 +437,13 @@ def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):
     made(one).verify(OTHER)
 
 
+def test_control_c_on_windows_is_no_fault_of_the_driver():
+    done = subprocess.CompletedProcess([], 0xC000013A, f"{trial.LOADED}\n", "")
+    verdict = trial._judge(done)
+    assert (verdict["usable"], verdict["lasting"]) == (False, False)
+    assert "killed" in verdict["reason"]
+
+
 def test_a_refused_build_is_of_one_program_only(one, empty, monkeypatch):
     """A compiler that refuses points of another dimension does not make other morphs impossible."""
     key = program_key(one.device, OTHER, one.constants)

@@ -1,24 +1,29 @@
 """Build the distributions, inspect them, and run them from another folder."""
 
+import email
+import os
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 pytestmark = pytest.mark.full
 
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """The sdist, and the wheel made from it."""
-    folder = tmp_path_factory.mktemp("dist")
-    subprocess.run(
-        [sys.executable, "-m", "build", "--outdir", folder, ROOT], check=True, capture_output=True
-    )
+    """The sdist, and the wheel made from it, or those in a folder that CLMORPH_DIST names."""
+    folder = Path(os.environ.get("CLMORPH_DIST") or tmp_path_factory.mktemp("dist")).absolute()
+    if not os.environ.get("CLMORPH_DIST"):
+        command = [sys.executable, "-m", "build", "--outdir", folder, ROOT]
+        subprocess.run(command, check=True, capture_output=True)
     (sdist,), (wheel,) = folder.glob("*.tar.gz"), folder.glob("*.whl")
     return sdist, wheel
 
@@ -27,9 +32,9 @@ def test_the_wheel_is_complete(built):
     with zipfile.ZipFile(built[1]) as wheel:
         names = set(wheel.namelist())
     kernels = {f"clmorph/cl_kernels/{path.name}" for path in (ROOT / "cl_kernels").glob("*.cl")}
-    modules = {str(path.relative_to(ROOT)) for path in (ROOT / "clmorph").rglob("*.py")}
+    modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "clmorph").rglob("*.py")}
     viewer = {
-        str(path.relative_to(ROOT))
+        path.relative_to(ROOT).as_posix()
         for ending in ("html", "css", "js")
         for path in (ROOT / "clmorph" / "output" / "html").glob(f"*.{ending}")
     }
@@ -38,6 +43,34 @@ def test_the_wheel_is_complete(built):
     assert kernels | modules | viewer | {"clmorph/py.typed", "clmorph/cli/samples/cat.png"} <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not any(name.startswith(("tests/", "tools/", "cl_kernels/")) for name in names)
+
+
+def test_the_wheels_metadata(built):
+    with zipfile.ZipFile(built[1]) as wheel:
+        (name,) = (name for name in wheel.namelist() if name.endswith(".dist-info/METADATA"))
+        found = email.message_from_bytes(wheel.read(name))
+    assert (found["Name"], found["Version"]) == ("clmorph", PROJECT["version"])
+    assert found["Requires-Python"] == PROJECT["requires-python"]
+    assert found["License-Expression"] == PROJECT["license"]
+    bare = [each for each in found.get_all("Requires-Dist") if "extra ==" not in each]
+    assert sorted(bare) == sorted(PROJECT["dependencies"])
+
+
+def test_the_recipe_for_conda_has_the_same_requirements():
+    recipe = yaml.safe_load((ROOT / ".ci/conda/recipe.yaml").read_text("utf-8"))
+    needed = {each.replace(" ", "") for each in recipe["requirements"]["run"]}
+    assert needed == {*PROJECT["dependencies"], f"python{PROJECT['requires-python']}"}
+    assert recipe["context"]["version"] == PROJECT["version"]
+    (entry,) = recipe["build"]["python"]["entry_points"]
+    assert entry == f"clmorph = {PROJECT['scripts']['clmorph']}"
+
+
+def test_workflows_have_every_version_of_python():
+    jobs = yaml.safe_load((ROOT / ".github/workflows/test.yml").read_text("utf-8"))["jobs"]
+    matrix = jobs["test"]["strategy"]["matrix"]
+    tested = {*matrix["python"], *(each["python"] for each in matrix["include"])}
+    words = (each.rpartition(" ")[2] for each in PROJECT["classifiers"] if "Python :: 3." in each)
+    assert tested == set(words)
 
 
 def test_the_sdist_is_complete(built):

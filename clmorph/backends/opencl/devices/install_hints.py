@@ -33,7 +33,7 @@ def missing_files(root: Path = Path("/")) -> list[str]:
     named = {}
     for file in sorted(folder.glob("*.icd")) if folder.is_dir() else []:
         try:
-            named[file] = file.read_text(errors="replace").strip()
+            named[file] = file.read_text("utf-8", "replace").strip()
         except OSError:
             continue
     found = [
@@ -85,7 +85,7 @@ def missing_cards(root: Path = Path("/")) -> list[str]:
 def linux_family() -> str:
     """Return the first known name in /etc/os-release, or ''."""
     try:
-        lines = Path("/etc/os-release").read_text().splitlines()
+        lines = Path("/etc/os-release").read_text("utf-8", "replace").splitlines()
     except OSError:
         return ""
     fields = dict(line.split("=", 1) for line in lines if "=" in line)

@@ -36,6 +36,8 @@ FURTHER = "further"
 WITHOUT = "without "
 #: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
 _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
+#: Status of a process that Ctrl-C ended on Windows.
+_CONTROL_C = 0xC000013A
 #: Seconds after which the end of a silent process is looked for, and for which a killed one may
 #: take to end.
 _STEP, _PATIENCE = 0.5, 5.0
@@ -198,6 +200,8 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
         reason = f"{CRASHED} (status {done.returncode}) on {under_check}: {reason}"
     else:
         reason = f"its probe ended with status {done.returncode}: {reason}"
+    if done.returncode == _CONTROL_C:
+        lasting, reason = False, f"its probe was killed (status {done.returncode:#x})"
     if done.returncode < 0:
         lasting = True
         reason = f"{CRASHED} (signal {-done.returncode}) on {under_check}"

@@ -31,7 +31,7 @@ _FOLDER, _PROGRAMS = "devices", "verified"
 def cpu_identity() -> str:
     """Return the name of the processor, because builds of CPU runtimes can fail on another one."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()
     except OSError:
         return platform.processor()
     wanted = ("vendor_id", "cpu family", "model", "stepping", "flags")
