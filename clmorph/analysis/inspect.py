@@ -33,7 +33,7 @@ from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.guides import guides, labeled
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.maps import Maps
-from clmorph.pipeline.memory import estimate
+from clmorph.pipeline.memory import expected, process_memory
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
 from clmorph.pipeline.prepare import as_images, as_options, fitted
@@ -142,6 +142,7 @@ def inspect(
     tol, max_iter, log_threshold = chosen.tol, chosen.max_iter, chosen.log_threshold
     max_particles, max_memory, n_frames = chosen.max_particles, chosen.max_memory, chosen.n_frames
     operations = get_backend(backend)
+    process = process_memory(operations)
     check_ways(*blocks, operations, max_memory=max_memory, log_threshold=log_threshold)
     report("transport", 0.0)
     began = time.perf_counter()
@@ -189,11 +190,9 @@ def inspect(
         displacement=moved,
         divergence=found,
         no_divergence=why,
-        memory=estimate(
-            whole[0].shape, whole[1].shape, moving, backend=operations,
-            alpha=any(measure.alpha is not None for measure in whole),
-            barycentric=isinstance(drawn, Barycentric),
-            dimension=as_pair(source, target)[0].points.shape[1],
+        memory=expected(
+            [(*image.shape[:2], image.shape[2]) for image in pair.images], pair.options,
+            operations, maps, process=process, particles=moving,
         ),
         seconds=Seconds(transport_seconds, plan_seconds, frames),
         n_frames=n_frames,

@@ -42,10 +42,10 @@ from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.guides import Guided
 from clmorph.pipeline.maps import NO_MAPS, Maps
-from clmorph.pipeline.memory import estimate
+from clmorph.pipeline.memory import expected, process_memory
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.prepare import copied_shape, fitted, recognized, takes_copies
+from clmorph.pipeline.prepare import fitted, lifted_shapes, recognized
 from clmorph.pipeline.result import Morph
 from clmorph.transport.potentials import Potentials
 
@@ -69,38 +69,31 @@ class _Run:
             output.check_motion(self.motion)
 
     def memory(self, pictures: Sequence[NDArray[np.float64]], operations: Operations) -> str:
-        """Return a text about the memory of the largest morph, without frames that are kept."""
-        options = self.options
-        most = options.max_particles
+        """Return a text about the most memory of the process, without frames that are kept."""
+        process = process_memory(operations)
         needs = [
-            estimate(
-                one[:2], other[:2], _most_particles(one, other, most),
-                sample=options.sample, barycentric=options.barycentric, backend=operations,
-                alpha=max(one[2], other[2]) == 4, carried_pixels=pixels,
+            expected(
+                pair,
+                self.options,
+                operations,
+                self.maps,
+                process=process,
+                chained=len(pictures) > 2,
             )
-            for (one, other), pixels in map(self._lifted, itertools.pairwise(pictures))
-        ]  # fmt: skip
-        known = most or options.sample or options.barycentric
-        size = size_text(max(max(need.ram, need.device) for need in needs))
-        return f"memory: {'about' if known else 'at least'} {size}{self._blocks(pictures)}"
-
-    def _lifted(
-        self, pair: Sequence[NDArray[np.float64]]
-    ) -> tuple[list[tuple[int, int, int]], int]:
-        """Return the shapes of what is lifted of two pictures, and the pixels that are not."""
-        shapes = [(picture.shape[0], picture.shape[1], picture.shape[2]) for picture in pair]
-        if not takes_copies(shapes, self.options, self.maps):
-            return shapes, 0
-        small = [copied_shape(shape) for shape in shapes]
-        return small, sum(height * width for height, width, _ in shapes)
+            for pair in itertools.pairwise(map(_shape, pictures))
+        ]
+        text = f"memory: about {size_text(max(need.ram for need in needs))}"
+        if not needs[0].shared:
+            text += f", {size_text(max(need.device for need in needs))} on the device"
+        return text + self._blocks(pictures)
 
     def _blocks(self, pictures: Sequence[NDArray[np.float64]]) -> str:
         """Return a text with the number of blocks that are solved; "" if pixels are solved."""
         most = self.options.solve_size
-        shapes = [(picture.shape[0], picture.shape[1]) for picture in pictures]
-        for one, other in itertools.pairwise(range(len(pictures))):
-            small, _ = self._lifted((pictures[one], pictures[other]))
-            shapes[one], shapes[other] = small[0][:2], small[1][:2]
+        shapes = [
+            shape[:2] for pair in itertools.pairwise(map(_shape, pictures))
+            for shape in lifted_shapes(pair, self.options, self.maps)
+        ]  # fmt: skip
         taken = {solved_size(shape, most) for shape in shapes if block_side(shape, most) > 1}
         if not taken:
             return ""
@@ -122,6 +115,7 @@ class _Run:
             self.solved.append(morph.potentials)
             self.particles.append(len(morph.particles))
             yield morph
+            del morph  # before the next one is computed
 
 
 def run_morph(request: Request) -> None:
@@ -201,13 +195,9 @@ def run_morph(request: Request) -> None:
     request.finish(summary, stages, partial(_last_line, run))
 
 
-def _most_particles(one: Sequence[int], other: Sequence[int], most: int | None) -> int | None:
-    """Return the largest number of particles of a morph; at least one is drawn for each pixel."""
-    if most is None:
-        return None
-    pixels = one[0] * one[1], other[0] * other[1]
-    # The sum counts all pairs, and the pixels whose mass is created or destroyed.
-    return min(max(most, pixels[0]), pixels[0] * pixels[1] + sum(pixels))
+def _shape(picture: NDArray[np.float64]) -> tuple[int, int, int]:
+    height, width, channels = picture.shape
+    return height, width, channels
 
 
 def _cap_memory(run: _Run, operations: Operations) -> None:

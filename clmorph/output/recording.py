@@ -115,6 +115,7 @@ def recorded(
                     holds.append(index in (0, len(morph.times) - 1))
                     done = index + 1
                     report(name, Share(done / len(morph.times), f"{done} of {len(morph.times)}"))
+            del morph, frames  # before the next one is computed
         step = -1 if reverse else 1
         shapes = [spool.shape(index) for index in range(len(spool))]
         yield Recording(

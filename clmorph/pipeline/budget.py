@@ -1,5 +1,6 @@
 """Choose the particles of a morph (all kept pairs, draws or means) within a limit of memory."""
 
+import math
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +13,7 @@ from clmorph.images.label_maps import label_text
 from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import as_pair
-from clmorph.pipeline.memory import affordable, estimate
+from clmorph.pipeline.memory import Memory, estimate, most_particles
 from clmorph.pipeline.pair_count import predict_pairs
 from clmorph.transport.barycentric import Barycentric, barycentric_plan
 from clmorph.transport.options import MAX_DRAWS
@@ -26,6 +27,8 @@ from clmorph.transport.subproblems import Subproblem, joined
 
 #: Share of a device's memory that a morph may take, unless the user sets a limit.
 MEMORY_SHARE = 0.5
+#: Number of draws from a row below which the mean destination gives a better result.
+FEWEST_DRAWS = 4
 #: Share of a plan's mass; a warning is issued if a threshold drops more than this.
 MUCH_DROPPED = 0.25
 
@@ -151,33 +154,32 @@ def check_ways(
             "pixels; lower it, or raise solve_size"
         )
     limit = default_memory(operations) if max_memory is None else max_memory
-    if limit is None:
-        return
-    shapes, kind = _kind(source, target, operations)
     asked = sample is not None or barycentric
-    ways = [(sample, barycentric)] if asked else [(1, False), (None, True)]
-    needs = (
-        estimate(shapes[0], shapes[1], sample=draws, barycentric=means, **kind)
-        for draws, means in ways
-    )
-    least = min(max(need.ram, need.device) for need in needs)
-    if least > limit and (max_memory is not None or not asked):
+    if limit is None or (asked and max_memory is None):
+        return
+    n, m = len(source.fine), len(target.fine)
+    fewest = n if sample is None else int(np.dot(n_draws(sample), (n, m)))
+    least = max(_need(source, target, fewest, operations).needs)
+    if least > limit:
         raise InputError(
             f"max_memory={limit / 1e9:.3g} GB: expected at least {least / 1e9:.2g} GB for these "
             "images; raise it, or use smaller images"
         )
 
 
-def _kind(
-    source: PixelBlocks, target: PixelBlocks, operations: Operations
-) -> tuple[tuple[tuple[int, int], tuple[int, int]], dict[str, Any]]:
-    """Return the images' shapes and the further arguments of `estimate`."""
-    fine = source.fine, target.fine
-    return (fine[0].shape, fine[1].shape), {
-        "alpha": any(measure.alpha is not None for measure in fine),
-        "dimension": dimension_of(fine[0]),
-        "backend": operations,
-    }
+def _need(
+    source: PixelBlocks, target: PixelBlocks, particles: float, operations: Operations
+) -> Memory:
+    """Return the memory of a morph of this number of particles, drawn as takes the most."""
+    n, m = len(source.fine), len(target.fine)
+    return estimate(
+        n + m, (len(source.coarse), len(target.coarse)), particles, operations,
+        alpha=_has_opacity(source, target), dimension=dimension_of(source.fine), frame=max(n, m),
+    )  # fmt: skip
+
+
+def _has_opacity(source: PixelBlocks, target: PixelBlocks) -> bool:
+    return any(blocks.fine.alpha is not None for blocks in (source, target))
 
 
 def dimension_of(measure: Measure) -> int:
@@ -198,36 +200,37 @@ def choose_way(
 ) -> dict[str, Any]:
     """Return options of `make_plan` that respect both limits; none if all pairs may be kept.
 
-    They are ``{}``, ``{"sample": k}`` or ``{"barycentric": True}``; the latter two come with a
-    MemoryWarning if it is `max_memory` that not all pairs fit into.
+    They are ``{}``, ``{"sample": k}`` or ``{"barycentric": True}``; they come with a MemoryWarning
+    if it is `max_memory` that not all wanted particles fit into.
     """
     source, target = parts[0].blocks
     finest = finest_pixels(source, target)
-    most = sum(part.pairs for part in parts) * finest
     limit = default_memory(operations) if max_memory is None else max_memory
-    shapes, kind = _kind(source, target, operations)
-    need = estimate(*shapes, most, **kind)
-    few = max_particles is None or most <= max_particles
-    if few and (limit is None or max(need.ram, need.device) <= limit):
+    fitting = math.inf
+    if limit is not None:
+        none = _need(source, target, 0, operations)
+        fitting = most_particles(limit, none, _has_opacity(source, target))
+    wanted = math.inf if max_particles is None else max_particles
+    if finest * sum(part.pairs for part in parts) <= min(wanted, fitting):
         return {}  # even the dense plan fits
     pairs = finest * sum(
         predict_pairs(*part.measures, each, log_threshold=log_threshold, backend=operations)
         for part, each in zip(parts, solved, strict=True)
     )
-    wanted: dict[str, Any] = {}
+    points = [len(blocks.coarse) * finest for blocks in (source, target)]
+    # One draw of each target pixel is included in the number.
+    way: dict[str, Any] = {}
     particles = pairs
-    if max_particles is not None and pairs > max_particles:
-        points = [len(blocks.coarse) * finest for blocks in (source, target)]
-        # One draw of each target pixel is included in the number.
-        wanted = _drawn((max_particles - points[1]) // points[0] + 1, finest)
-        particles = int(np.dot(n_draws(wanted.get("sample", 1)), points))
-    if limit is None:
-        return wanted
-    way = affordable(limit, *shapes, particles, **kind)
-    if not way:
-        return wanted
-    way = _drawn(way["sample"], finest) if "sample" in way else way
+    if pairs > wanted:
+        way = _drawn(int(max(1, (wanted - points[1]) // points[0] + 1)), finest)
+        particles = int(np.dot(n_draws(way.get("sample", 1)), points))
+    if particles <= fitting:
+        return way
+    draws = (fitting - points[1]) // points[0] + 1
+    # Fewer draws look worse, by their grain, than means, by their smoothness.
+    way = _drawn(int(draws), finest) if draws >= FEWEST_DRAWS else {"barycentric": True}
     chosen = f"sample={way['sample']}" if "sample" in way else "barycentric=True"
+    assert limit is not None
     warnings.warn(
         f"{particles:.2g} particles, of the plan's {pairs:.2g} pairs, would not fit into "
         f"max_memory={limit / 1e9:.3g} GB: {chosen} is taken in their place",
@@ -240,4 +243,4 @@ def choose_way(
 def _drawn(draws: int, finest: int) -> dict[str, Any]:
     """Return options for this many draws a pixel, or for means if blocks are too large."""
     most = MAX_DRAWS // finest
-    return {"sample": int(max(1, min(most, draws)))} if most else {"barycentric": True}
+    return {"sample": min(most, draws)} if most else {"barycentric": True}

@@ -124,9 +124,13 @@ def takes_copies(
     return large and all(shape[2] == 3 for shape in shapes)
 
 
-def copied_shape(shape: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Return about the shape of the small copy of an image of this shape."""
-    return *reduced_shape(shape[:2], MOST_CARRIED), shape[2]
+def lifted_shapes(
+    shapes: Sequence[tuple[int, int, int]], options: MorphOptions, beside: Maps = NO_MAPS
+) -> list[tuple[int, int, int]]:
+    """Return about the shapes of what is lifted of fitted images: of smaller copies, or theirs."""
+    if not takes_copies(shapes, options, beside):
+        return list(shapes)
+    return [(*reduced_shape(shape[:2], MOST_CARRIED), shape[2]) for shape in shapes]
 
 
 def _reduced(image: AnyArray, options: MorphOptions, mapped: bool) -> Picture:

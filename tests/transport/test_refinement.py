@@ -180,11 +180,12 @@ def test_too_little_memory_is_said(device, rng, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         whole = plain.morph(*images, 3, 0.3, backend=device)
-    need = estimate((32, 32), (32, 32), len(whole.plan), backend=device)
-    options = plain.OPTIONS.replace(n_frames=3, blur=0.3, max_memory=0.6 * need.ram)
+    need = estimate(2048, (1024, 1024), len(whole.plan), device, frame=1024)
+    limit = 0.6 * max(need.needs)
+    options = plain.OPTIONS.replace(n_frames=3, blur=0.3, max_memory=limit)
     with pytest.warns(MemoryWarning, match="sample=") as told:
         fewer = clmorph.morph(*images, options, backend=device)
-    assert f"max_memory={0.6 * need.ram / 1e9:.3g} GB" in str(told[0].message)
+    assert f"max_memory={limit / 1e9:.3g} GB" in str(told[0].message)
     assert told[0].filename == __file__
     assert len(fewer.particles) < len(whole.particles)
     monkeypatch.setattr(
