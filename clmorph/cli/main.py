@@ -15,7 +15,16 @@ from clmorph._shared.signals import terminable
 from clmorph._shared.version import __version__
 from clmorph.cli import config as files
 from clmorph.cli import options
-from clmorph.cli.more_commands import batch, check, completion, demo, devices, studio, tune
+from clmorph.cli.more_commands import (
+    batch,
+    check,
+    comfyui,
+    completion,
+    demo,
+    devices,
+    studio,
+    tune,
+)
 from clmorph.cli.reporting import run
 from clmorph.errors import InputError, OptionWarning
 from clmorph.images.pixels import MAX_PIXELS
@@ -473,7 +482,7 @@ def _note(told: set[str], message: Warning | str, *others: Any, **more: Any) -> 
         note_warning([], message, *others, **more)
 
 
-for command in (batch, studio, demo, devices, check, tune, completion):
+for command in (batch, studio, comfyui, demo, devices, check, tune, completion):
     cli.add_command(command)
 
 

@@ -122,6 +122,23 @@ def studio(
 
 
 @click.command()
+@click.argument("folder", metavar="PATH_TO_COMFYUI", type=options.FileName())
+def comfyui(folder: Path) -> None:
+    """Add clmorph's nodes to ComfyUI: a folder of one line in its custom_nodes.
+
+    \b
+    clmorph comfyui ~/ComfyUI
+
+    The Python that runs ComfyUI needs clmorph too: pip install clmorph there.
+    """  # noqa: D301
+    from clmorph._shared.printable import printable
+    from clmorph.adapters.comfyui.install import install_nodes
+
+    file = install_nodes(folder)
+    click.echo(f"wrote {printable(file)}: start ComfyUI again, and search its nodes for clmorph")
+
+
+@click.command()
 @options.device_options
 def demo(device: str | None, backend: str | None) -> None:
     """Morph a bundled sprite into a photograph: clmorph-demo.gif, .html and .png."""

@@ -1,0 +1,332 @@
+"""The nodes: Morph, Mix, Rearrange and Recolor.
+
+A node is a class with the names that ComfyUI asks for: ``INPUT_TYPES``, ``RETURN_TYPES``,
+``FUNCTION``, ``CATEGORY`` and ``DESCRIPTION``.
+"""
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from clmorph._shared.typing import AnyArray
+from clmorph.adapters.comfyui import widgets
+from clmorph.adapters.comfyui.running import Running
+from clmorph.adapters.comfyui.tensors import (
+    as_image_and_mask,
+    as_images,
+    as_masks,
+    has_opacity,
+    of_one_size,
+    paired,
+)
+from clmorph.backends.select import get_backend
+from clmorph.errors import InputError
+from clmorph.frames.sequence import FrameSequence
+from clmorph.output.options import PlaybackOptions
+from clmorph.pipeline.mixing.mix import mix
+from clmorph.pipeline.morph import morph
+from clmorph.pipeline.presets import AUTO
+from clmorph.pipeline.rearrange import rearrange
+from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.recolor import recolor
+from clmorph.pipeline.recolor_options import RecolorOptions
+
+#: The names of the inputs for pictures of a mix.
+LETTERS = "abcd"
+Inputs = dict[str, dict[str, widgets.Widget]]
+
+
+class Node:
+    """The names that all nodes have in common."""
+
+    CATEGORY = "clmorph"
+    FUNCTION = "run"
+    RETURN_TYPES: ClassVar[tuple[str, ...]] = ("IMAGE", "MASK")
+    RETURN_NAMES: ClassVar[tuple[str, ...]] = ("images", "masks")
+    OUTPUT_TOOLTIPS: ClassVar[tuple[str, ...]] = (
+        "The pictures, with a fourth channel if a picture that was given has one.",
+        "1 where the pictures are transparent.",
+    )
+
+
+def _frames(found: FrameSequence, frames: int, time: float, running: Running) -> list[AnyArray]:
+    """Return all frames of a film, or the one at a time."""
+    wanted = [time] if frames == 1 else found.times.tolist()
+    return of_one_size(list(running.each(map(found.frame, wanted))), found.pixelated)
+
+
+def _sized(size: int) -> dict[str, Any]:
+    """Return the option `size`, which is 0 in ComfyUI for pictures that are kept whole."""
+    return {"size": size or None}
+
+
+class Morph(Node):
+    """Morph each picture of a batch into the one of another batch."""
+
+    DESCRIPTION = (
+        "Morphs source into target by unbalanced optimal transport: both move and change their "
+        "colors along one plan, and one of them is seen at each place. Of two batches each pair "
+        "is morphed; a single picture goes with every picture of the other batch."
+    )
+
+    @classmethod
+    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
+        """Return the inputs."""
+        hidden = "1 where the picture is transparent, as Load Image gives it."
+        return {
+            "required": {
+                "source": widgets.image("The pictures at the start."),
+                "target": widgets.image("The pictures at the end."),
+                "frames": widgets.FRAMES,
+                "time": widgets.TIME,
+                "ease": widgets.option(PlaybackOptions, "ease"),
+                "preset": widgets.PRESET,
+                "size": widgets.SIZE,
+            },
+            "optional": {
+                "source_mask": widgets.mask(hidden),
+                "target_mask": widgets.mask(hidden),
+                "options": widgets.OPTIONS,
+                "device": widgets.DEVICE,
+            },
+        }
+
+    @classmethod
+    def VALIDATE_INPUTS(cls, options: str | None = "") -> bool | str:  # noqa: N802
+        """Return True, or what is wrong with the options."""
+        return widgets.verdict(options)
+
+    def run(
+        self,
+        source: Any,
+        target: Any,
+        frames: int,
+        time: float,
+        ease: Any,
+        preset: Any,
+        size: int,
+        source_mask: Any = None,
+        target_mask: Any = None,
+        options: str = "",
+        device: str = "auto",
+    ) -> tuple[Any, Any]:
+        """Return the frames of all morphs, one after the other."""
+        pairs = paired(
+            source=as_images("source", source, source_mask),
+            target=as_images("target", target, target_mask),
+        )
+        running = Running(len(pairs) * (1 + frames))
+        given = {"n_frames": max(frames, 2), "ease": ease} | _sized(size)
+        given |= widgets.more_options(options)
+        operations, made = get_backend(device), []
+        for one, other in pairs:
+            found = morph(
+                one, other, preset=None if preset == AUTO else preset, backend=operations,
+                progress=running, **given,
+            )  # fmt: skip
+            running.unit()
+            made += _frames(found, frames, time, running)
+        return as_image_and_mask(of_one_size(made), has_opacity(source, target))
+
+
+class Mix(Node):
+    """Mix two to four pictures."""
+
+    DESCRIPTION = (
+        "Draws pictures between two, three or four pictures: one by their weights, or a grid with "
+        "the pictures in its corners (a row, a triangle, a square). Of batches the first pictures "
+        "are mixed, the second ones, and so on."
+    )
+
+    @classmethod
+    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
+        """Return the inputs."""
+        images = {f"image_{each}": widgets.image(f"Picture {each}.") for each in LETTERS}
+        masks = {
+            f"image_{each}_mask": widgets.mask(f"1 where picture {each} is transparent.")
+            for each in LETTERS
+        }
+        weights = {
+            f"weight_{each}": widgets.real(
+                1.0, 0.0, 1000.0, f"Weight of picture {each}, beside those of the others."
+            )
+            for each in LETTERS
+        }
+        grid = widgets.whole(
+            0, 0, 15, "Number of mixes along each side of a grid, in place of the weights; 0: none."
+        )
+        both = ("image_a", "image_b")
+        return {
+            "required": {
+                **{name: images[name] for name in both},
+                **weights,
+                "grid": grid,
+                "preset": widgets.PRESET,
+                "size": widgets.SIZE,
+            },
+            "optional": {
+                **{name: each for name, each in images.items() if name not in both},
+                **masks,
+                "options": widgets.OPTIONS,
+                "device": widgets.DEVICE,
+            },
+        }
+
+    @classmethod
+    def VALIDATE_INPUTS(cls, options: str | None = "") -> bool | str:  # noqa: N802
+        """Return True, or what is wrong with the options."""
+        return widgets.verdict(options)
+
+    def run(
+        self,
+        grid: int,
+        preset: Any,
+        size: int,
+        options: str = "",
+        device: str = "auto",
+        **given: Any,
+    ) -> tuple[Any, Any]:
+        """Return the mixes of all batches, one after the other."""
+        names = [f"image_{each}" for each in LETTERS if given.get(f"image_{each}") is not None]
+        batches = {name: as_images(name, given[name], given.get(f"{name}_mask")) for name in names}
+        weights = [given[name.replace("image", "weight")] for name in names]
+        if grid == 1:
+            raise InputError("grid=1: expected 0 for one mix by weights, or 2 and more")
+        groups = paired(**batches)
+        running, operations, made = Running(2 * len(groups)), get_backend(device), []
+        for group in groups:
+            found = mix(
+                list(group), None if grid else weights, grid=grid or None,
+                preset=None if preset == AUTO else preset, backend=operations, progress=running,
+                **_sized(size), **widgets.more_options(options),
+            )  # fmt: skip
+            running.unit()
+            made += of_one_size(found.drawn(), found.pixelated)
+            running.unit()
+        opacity = has_opacity(*(given[name] for name in names))
+        return as_image_and_mask(of_one_size(made), opacity)
+
+
+class Rearrange(Node):
+    """Move the pixels of a picture so that they form another one."""
+
+    DESCRIPTION = (
+        "Moves the pixels of source, each with its own color, so that together they form target. "
+        "Every frame has exactly the pixels of source."
+    )
+
+    @classmethod
+    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
+        """Return the inputs."""
+        return {
+            "required": {
+                "source": widgets.image("The pictures whose pixels are moved."),
+                "target": widgets.image("The pictures that they form."),
+                "frames": widgets.FRAMES,
+                "time": widgets.TIME,
+                "size": widgets.whole(256, *widgets.SIDES, widgets.SIZE[1]["tooltip"]),
+                "color_weight": widgets.option(RearrangeOptions, "color_weight"),
+            },
+            "optional": {"options": widgets.OPTIONS, "device": widgets.DEVICE},
+        }
+
+    @classmethod
+    def VALIDATE_INPUTS(cls, options: str | None = "") -> bool | str:  # noqa: N802
+        """Return True, or what is wrong with the options."""
+        return widgets.verdict(options, RearrangeOptions)
+
+    def run(
+        self,
+        source: Any,
+        target: Any,
+        frames: int,
+        time: float,
+        size: int,
+        color_weight: float,
+        options: str = "",
+        device: str = "auto",
+    ) -> tuple[Any, Any]:
+        """Return the frames of all films, one after the other."""
+        pairs = paired(source=as_images("source", source), target=as_images("target", target))
+        running = Running(len(pairs) * (1 + frames))
+        given = {"n_frames": max(frames, 2), "color_weight": color_weight} | _sized(size)
+        given |= widgets.more_options(options, RearrangeOptions)
+        operations, made = get_backend(device), []
+        for one, other in pairs:
+            found = rearrange(one, other, backend=operations, progress=running, **given)
+            running.unit()
+            made += _frames(found, frames, time, running)
+        return as_image_and_mask(of_one_size(made), has_opacity(source, target))
+
+
+class Recolor(Node):
+    """Give pictures the colors of others."""
+
+    RETURN_TYPES: ClassVar[tuple[str, ...]] = ("IMAGE",)
+    RETURN_NAMES: ClassVar[tuple[str, ...]] = ("images",)
+    OUTPUT_TOOLTIPS: ClassVar[tuple[str, ...]] = ("The pictures in their new colors.",)
+    DESCRIPTION = (
+        "Gives images the colors of like, by transport between their distributions of color. One "
+        "map is made for the whole batch, of the colors of all its pictures, so that frames of a "
+        "film do not flicker; every picture of like counts."
+    )
+
+    @classmethod
+    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
+        """Return the inputs."""
+        return {
+            "required": {
+                "images": widgets.image("The pictures to be recolored."),
+                "like": widgets.image("The pictures that have the colors."),
+                **{
+                    name: widgets.option(RecolorOptions, name)
+                    for name in ("strength", "color_space", "blur", "feather")
+                },
+            },
+            "optional": {
+                "mask": widgets.mask("1 where pictures are recolored; other pixels stay."),
+                "options": widgets.OPTIONS,
+                "device": widgets.DEVICE,
+            },
+        }
+
+    @classmethod
+    def VALIDATE_INPUTS(cls, options: str | None = "") -> bool | str:  # noqa: N802
+        """Return True, or what is wrong with the options."""
+        return widgets.verdict(options, RecolorOptions)
+
+    def run(
+        self,
+        images: Any,
+        like: Any,
+        mask: Any = None,
+        options: str = "",
+        device: str = "auto",
+        **given: Any,
+    ) -> tuple[Any]:
+        """Return the recolored pictures."""
+        pictures, others = as_images("images", images), as_images("like", like)
+        masks = None
+        if mask is not None:
+            shapes = [picture.shape for picture in pictures]
+            masks = np.concatenate(as_masks("mask", mask, shapes))
+        running = Running(1)
+        # Below one another they are one picture, and so have one map.
+        found = recolor(
+            np.concatenate(pictures), np.concatenate(others), mask=masks,
+            backend=get_backend(device), progress=running,
+            **given | widgets.more_options(options, RecolorOptions),
+        )  # fmt: skip
+        running.unit()
+        frames = np.split(np.asarray(found), len(pictures))
+        return as_image_and_mask(frames, has_opacity(images))[:1]
+
+
+#: The classes by the names under which ComfyUI's workflows keep them.
+NODE_CLASS_MAPPINGS: dict[str, type[Node]] = {
+    f"Clmorph{kind.__name__}": kind for kind in (Morph, Mix, Rearrange, Recolor)
+}
+#: The names that people see.
+NODE_DISPLAY_NAME_MAPPINGS = {
+    name: f"{kind.__name__} (clmorph)" for name, kind in NODE_CLASS_MAPPINGS.items()
+}

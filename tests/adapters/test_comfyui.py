@@ -1,0 +1,333 @@
+"""The nodes for ComfyUI, loaded and run by a stand-in for its loader and its executor."""
+
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import comfyui_stand_in as comfyui
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import InputError
+from clmorph.adapters.comfyui import NODE_CLASS_MAPPINGS, NODE_DISPLAY_NAME_MAPPINGS
+from clmorph.adapters.comfyui.install import LINE
+from clmorph.cli.main import main
+
+COMMON = {"size": 0, "device": "numpy"}
+QUICK = "blur = 0.2\nlandmark = 'none'"
+
+
+class Tensor:
+    """What the nodes use of PyTorch's tensors, where PyTorch is not installed."""
+
+    def __init__(self, array):
+        self.array = np.asarray(array)
+
+    shape = property(lambda self: self.array.shape)
+    dtype = property(lambda self: self.array.dtype)
+    detach = cpu = lambda self: self
+
+    def float(self):
+        return Tensor(self.array.astype(np.float32))
+
+    def numpy(self):
+        return self.array
+
+
+@pytest.fixture(autouse=True)
+def torch(monkeypatch):
+    """PyTorch, or what of it the nodes use."""
+    try:
+        import torch
+    except ImportError:
+        torch = types.ModuleType("torch")
+        torch.from_numpy = Tensor
+        monkeypatch.setitem(sys.modules, "torch", torch)
+    return torch
+
+
+class Pictures:
+    """A node that gives some pictures, and counts what it is asked for."""
+
+    RETURN_TYPES = ("IMAGE", "MASK", "IMAGE")
+    OUTPUT_IS_LIST = (False, False, True)
+    FUNCTION, CATEGORY = "run", "test"
+    images = masks = several = None
+
+    @classmethod
+    def INPUT_TYPES(cls):  # noqa: N802
+        return {"required": {"seed": ("INT", {"default": 0})}}
+
+    def run(self, seed):
+        return self.images, self.masks, self.several
+
+
+@pytest.fixture
+def graph(tmp_path, monkeypatch):
+    """A graph whose nodes are loaded from the folder that the command writes."""
+    folder = comfyui.make_folder(tmp_path / "ComfyUI")
+    assert main(["comfyui", str(folder)]) == 0
+    comfyui.install(monkeypatch)
+    classes, _ = comfyui.load(folder)
+    return comfyui.Graph(classes | {"Pictures": Pictures})
+
+
+def batch(torch, rng, *shape):
+    return torch.from_numpy(rng.random(shape).astype(np.float32))
+
+
+def squares(torch, count=1, channels=3, shift=0):
+    """A batch of pictures of a square before a ground."""
+    images = np.full((count, 10, 12, channels), 0.9, np.float32)
+    for number in range(count):
+        images[number, 2:6, 2 + shift + number : 6 + shift + number, :3] = [0.8, 0.2, 0.1]
+    return torch.from_numpy(images)
+
+
+MORPH = {"frames": 3, "time": 0.5, "ease": "linear", "preset": "photo", "options": QUICK, **COMMON}
+
+
+@pytest.mark.parametrize("name", sorted(NODE_CLASS_MAPPINGS))
+def test_the_contract(name):
+    comfyui.check_class(NODE_CLASS_MAPPINGS[name])
+    assert NODE_DISPLAY_NAME_MAPPINGS[name]
+
+
+def test_nothing_heavy_is_imported():
+    """ComfyUI loads all nodes at its start; those of clmorph need no driver for that."""
+    code = (
+        "import sys, clmorph.adapters.comfyui as c;"
+        "[kind.INPUT_TYPES() for kind in c.NODE_CLASS_MAPPINGS.values()];"
+        "assert not {'torch', 'pyopencl', 'comfy', 'av'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_folder(tmp_path, capfd):
+    """One file of one line; again it is written as it was; other folders are refused."""
+    folder = comfyui.make_folder(tmp_path / "ComfyUI")
+    for _ in range(2):
+        assert main(["comfyui", str(folder)]) == 0
+        (made,) = (folder / "custom_nodes").iterdir()
+        assert [path.name for path in made.iterdir()] == ["__init__.py"]
+        assert (made / "__init__.py").read_text().count("\n") == 1
+    classes, names = comfyui.load(folder)
+    assert set(classes) == set(names) == set(NODE_CLASS_MAPPINGS)
+    (made / "other.py").write_text("")
+    (made / "__init__.py").write_text("mine")
+    capfd.readouterr()
+    for place, words in (
+        (tmp_path, "is not a folder of ComfyUI (it has no custom_nodes, nodes.py, comfy)"),
+        (folder / "custom_nodes", "is not a folder of ComfyUI"),
+        (tmp_path / "missing", "is not a folder of ComfyUI"),
+        (folder, "was not written by this command"),
+    ):
+        assert main(["comfyui", str(place)]) == 2
+        told = capfd.readouterr().err.splitlines()
+        assert len(told) == 1
+        assert words in told[0]
+    assert (made / "__init__.py").read_text() == "mine"
+
+
+def test_the_entry_of_the_registry():
+    import tomllib
+
+    folder = Path(__file__).parents[2] / "tools/comfyui"
+    assert (folder / "__init__.py").read_text() == LINE
+    entry = tomllib.loads((folder / "pyproject.toml").read_text())
+    assert entry["project"]["version"] == clmorph.__version__
+    assert entry["project"]["dependencies"] == ["clmorph"]
+    assert (folder / "requirements.txt").read_text() == "clmorph\n"
+    assert set(entry["tool"]["comfy"]) == {"PublisherId", "DisplayName"}
+
+
+def test_a_film(graph, torch):
+    """The frames are those of `clmorph.morph`; the ends are the pictures."""
+    Pictures.images = squares(torch)
+    Pictures.several = [squares(torch, shift=4), squares(torch, shift=2)]
+    plan = {
+        "one": ("Pictures", {"seed": 0}),
+        "film": ("ClmorphMorph", {"source": ("one", 0), "target": ("one", 2), **MORPH}),
+    }
+    images, masks = graph.run(plan, "film")
+    assert len(images) == 2  # of a list each element is morphed
+    for found, mask, target in zip(images, masks, Pictures.several, strict=True):
+        assert tuple(found.shape) == (3, 10, 12, 3)
+        assert tuple(mask.shape) == (3, 10, 12)
+        assert str(found.dtype).endswith("float32")
+        frames = found.numpy()
+        assert np.array_equal(frames[0], Pictures.images.numpy()[0])
+        assert np.array_equal(frames[2], target.numpy()[0])
+        assert not mask.numpy().any()
+        film = clmorph.morph(
+            Pictures.images.numpy()[0], target.numpy()[0], n_frames=3, blur=0.2, size=None,
+            preset="photo", landmarks=None, backend="numpy",
+        )  # fmt: skip
+        assert np.array_equal(frames[1], np.clip(film[1], 0, 1))
+    shown = comfyui.Bar.shown
+    assert shown == sorted(set(shown)) or shown[-1] == 1.0
+    assert shown[-1] == 1.0
+    graph.run(plan, "film")
+    assert graph.runs == ["one", "film"]
+
+
+def test_one_frame_and_batches(graph, torch):
+    Pictures.images = squares(torch, 3)
+    Pictures.several = [squares(torch, 1, shift=4)]
+    given = {"source": ("p", 0), "target": ("p", 2), **MORPH, "frames": 1, "time": 1.0}
+    plan = {"p": ("Pictures", {"seed": 0}), "m": ("ClmorphMorph", given)}
+    ((found,), _) = graph.run(plan, "m")
+    assert tuple(found.shape) == (3, 10, 12, 3)
+    assert all(np.array_equal(each, Pictures.several[0].numpy()[0]) for each in found.numpy())
+
+
+def test_sizes_and_opacity(graph, torch, rng):
+    """Frames have the size of the first picture; a fourth channel and masks are opacity."""
+    Pictures.images = batch(torch, rng, 1, 8, 12, 4)
+    Pictures.several = [batch(torch, rng, 1, 12, 6, 3)]
+    given = {"source": ("p", 0), "target": ("p", 2), **MORPH}
+    plan = {"p": ("Pictures", {"seed": 0}), "m": ("ClmorphMorph", given)}
+    (found,), (mask,) = graph.run(plan, "m")
+    assert tuple(found.shape) == (3, 8, 12, 4)
+    assert np.allclose(found.numpy()[0], Pictures.images.numpy()[0], atol=1 / 254)
+    assert np.allclose(mask.numpy(), 1 - found.numpy()[..., 3])
+
+    Pictures.images = squares(torch)
+    hidden = np.zeros((1, 10, 12), np.float32)
+    hidden[:, :, 8:] = 1
+    Pictures.masks = torch.from_numpy(hidden)
+    Pictures.several = [squares(torch, shift=4)]
+    given = given | {"source_mask": ("p", 1), "target_mask": ("p", 1)}
+    plan = {"p": ("Pictures", {"seed": 1}), "m": ("ClmorphMorph", given)}
+    (found,), (mask,) = graph.run(plan, "m")
+    assert tuple(found.shape) == (3, 10, 12, 3)
+    assert np.allclose(mask.numpy()[0], hidden[0], atol=1e-6)
+    # What Load Image gives for a picture without opacity.
+    Pictures.masks = torch.from_numpy(np.zeros((1, 64, 64), np.float32))
+    plan = {"p": ("Pictures", {"seed": 2}), "m": ("ClmorphMorph", given)}
+    _, (mask,) = graph.run(plan, "m")
+    assert not mask.numpy().any()
+
+
+def test_mixes(graph, torch):
+    Pictures.images, Pictures.several = squares(torch), [squares(torch, shift=4)]
+    given = {
+        "image_a": ("p", 0), "image_b": ("p", 2), "weight_a": 1.0, "weight_b": 0.0,
+        "weight_c": 1.0, "weight_d": 1.0, "grid": 0, "preset": "photo", "options": QUICK, **COMMON,
+    }  # fmt: skip
+    plan = {"p": ("Pictures", {"seed": 0}), "m": ("ClmorphMix", given)}
+    ((found,), _) = graph.run(plan, "m")
+    assert np.array_equal(found.numpy(), Pictures.images.numpy())
+    plan["m"] = ("ClmorphMix", given | {"grid": 3})
+    ((found,), _) = graph.run(plan, "m")
+    assert tuple(found.shape) == (3, 10, 12, 3)
+    plan["m"] = ("ClmorphMix", given | {"grid": 2, "image_c": ("p", 0), "image_d": ("p", 2)})
+    ((found,), _) = graph.run(plan, "m")
+    assert tuple(found.shape) == (4, 10, 12, 3)
+    assert np.array_equal(found.numpy()[3], Pictures.several[0].numpy()[0])
+
+
+def test_rearranging(graph, torch, rng):
+    Pictures.images, Pictures.several = batch(torch, rng, 1, 8, 8, 3), [squares(torch)]
+    given = {
+        "source": ("p", 0), "target": ("p", 2), "frames": 1, "time": 1.0, "color_weight": 2.0,
+        **COMMON,
+    }  # fmt: skip
+    plan = {"p": ("Pictures", {"seed": 0}), "r": ("ClmorphRearrange", given)}
+    ((found,), _) = graph.run(plan, "r")
+    one, other = (np.sort(each.numpy()[0].reshape(-1, 3), axis=0)
+                  for each in (Pictures.images, found))  # fmt: skip
+    assert np.array_equal(one, other)
+
+
+def test_recoloring(graph, torch, rng):
+    """One map for a batch: equal pixels of two pictures stay equal; a mask keeps the others."""
+    images = rng.random((2, 9, 9, 3)).astype(np.float32)
+    images[1, :4] = images[0, :4]
+    Pictures.images = torch.from_numpy(images)
+    Pictures.several = [torch.from_numpy(images[:1] * np.float32([0.2, 0.4, 1.0]))]
+    hidden = np.zeros((1, 9, 9), np.float32)
+    hidden[:, :, :5] = 1
+    Pictures.masks = torch.from_numpy(hidden)
+    given = {
+        "images": ("p", 0), "like": ("p", 2), "strength": 1.0, "color_space": "oklab",
+        "blur": 0.1, "feather": 0.0, "device": "numpy",
+    }  # fmt: skip
+    plan = {"p": ("Pictures", {"seed": 0}), "r": ("ClmorphRecolor", given)}
+    ((found,),) = graph.run(plan, "r")
+    assert np.array_equal(found.numpy()[0, :4], found.numpy()[1, :4])
+    assert found.numpy()[..., 0].mean() < 0.5 * images[..., 0].mean()
+    plan["r"] = ("ClmorphRecolor", given | {"mask": ("p", 1)})
+    ((found,),) = graph.run(plan, "r")
+    assert np.array_equal(found.numpy()[:, :, 5:], images[:, :, 5:])
+    assert not np.array_equal(found.numpy()[:, :, :5], images[:, :, :5])
+
+
+def test_the_user_stops(graph, torch, monkeypatch):
+    """In a solve, and between two frames; the next run is whole."""
+    Pictures.images, Pictures.several = squares(torch), [squares(torch, shift=4)]
+    given = {"source": ("p", 0), "target": ("p", 2), **MORPH}
+    plan = {"p": ("Pictures", {"seed": 0}), "m": ("ClmorphMorph", given)}
+    for reports in (1, 4):
+        comfyui.install(monkeypatch, stop_after=reports)
+        with pytest.raises(comfyui.Interrupted):
+            graph.run(plan, "m")
+        assert len(comfyui.Bar.shown) == reports
+    comfyui.install(monkeypatch)
+    assert tuple(graph.run(plan, "m")[0][0].shape) == (3, 10, 12, 3)
+
+
+def test_without_comfyui(torch):
+    """The classes work in any Python, without a bar."""
+    assert "comfy" not in sys.modules
+    images, _ = NODE_CLASS_MAPPINGS["ClmorphMorph"]().run(
+        squares(torch), squares(torch, shift=4), **MORPH
+    )
+    assert tuple(images.shape) == (3, 10, 12, 3)
+
+
+def test_mistakes_before_the_run(graph):
+    given = {"source": ("p", 0), "target": ("p", 1), **MORPH, "frames": 0}
+    for options, words in (
+        ("reach = far", "options: "),
+        ("reech = 0.2", "unknown option"),
+        ("blur = -1", "blur"),
+    ):
+        plan = {
+            "p": ("Pictures", {"seed": 0}),
+            "m": ("ClmorphMorph", given | {"options": options}),
+        }
+        wrong = graph.faults(plan)
+        assert wrong[:2] == ["m: target has the wrong type", "m: frames is out of range"]
+        assert words in wrong[2].lower()
+        assert "\n" not in wrong[2]
+
+
+def test_mistakes_in_the_run(torch):
+    morph = NODE_CLASS_MAPPINGS["ClmorphMorph"]().run
+    mixed = NODE_CLASS_MAPPINGS["ClmorphMix"]().run
+    good = squares(torch)
+    void = torch.from_numpy(np.full((1, 4, 4, 3), np.nan, np.float32))
+    wide = torch.from_numpy(np.zeros((1, 4, 4, 7), np.float32))
+    none = torch.from_numpy(np.zeros((0, 4, 4, 3), np.float32))
+    mask = torch.from_numpy(np.zeros((3, 4, 4), np.float32))
+    weights = dict.fromkeys(("weight_a", "weight_b", "weight_c", "weight_d"), 1.0)
+    for call, words in (
+        (lambda: morph(void, good, **MORPH), "source holds NaN"),
+        (lambda: morph(good, wide, **MORPH), "target has shape"),
+        (lambda: morph(none, good, **MORPH), "not empty"),
+        (lambda: morph(np.zeros((1, 4, 4, 3)), good, **MORPH), "source is a ndarray"),
+        (lambda: morph(squares(torch, 2), squares(torch, 3), **MORPH), "source holds 2 pictures"),
+        (lambda: morph(good, good, source_mask=mask, **MORPH), "source_mask has shape"),
+        (lambda: morph(good, good, **MORPH | {"device": "nowhere"}), "nowhere"),
+        (
+            lambda: mixed(image_a=good, image_b=good, grid=1, preset="photo", **COMMON, **weights),
+            "grid=1",
+        ),
+    ):
+        with pytest.raises(clmorph.ClmorphError, match=words) as raised:
+            call()
+        assert "\n" not in str(raised.value)
+    assert issubclass(InputError, ValueError)
