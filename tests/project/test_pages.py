@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from comfyui_stand_in import make_folder
 from conftest import NO_DEVICE, TESTED
 from PIL import Image
 from skimage import data
@@ -309,6 +310,10 @@ def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
         command = [TESTED[0].index if word == "NAME" else word for word in command]
         if command[0] == "studio":
             assert_served(command)
+            continue
+        if command[0] == "comfyui":
+            make_folder(Path(command[1]))
+            assert main(command) == 0
             continue
         ways.clear()
         widths.clear()
