@@ -18,10 +18,12 @@
 
 // What the host says of the problem of a group: its first entry and its number of entries (0 once it has
 // stopped) of both sides, the first of its pairs of tiles, its control, see vector_steps.cl, and the trust radius.
+// The last two change in each iteration. They are arguments of the kernels if there is one problem, and 0 here; of
+// many problems they stand here, and the arguments are 0.
 #define PROBLEM(field) problems[get_group_id(0) * PROBLEM_COUNT + PROBLEM_##field]
-#define RADIUS as_double(((ulong)PROBLEM(RADIUS_HIGH) << 32) | PROBLEM(RADIUS_LOW))
+#define RADIUS (only_radius + as_double(((ulong)PROBLEM(RADIUS_HIGH) << 32) | PROBLEM(RADIUS_LOW)))
 #define PROBLEM_SETUP                                                                          \
-    const uint own_n = PROBLEM(N), own_m = PROBLEM(M), control = PROBLEM(CONTROL);             \
+    const uint own_n = PROBLEM(N), own_m = PROBLEM(M), control = only_control | PROBLEM(CONTROL); \
     const uint first_tiles[2] = {PROBLEM(FIRST_ROW) / TILE, PROBLEM(FIRST_COLUMN) / TILE};     \
     const size_t first_pair = PROBLEM(FIRST_PAIR);                                             \
     columns += PROBLEM(FIRST_COLUMN)
@@ -29,7 +31,7 @@
 // Prepare the softmin of the rows, T(g), for a new g: the host's, or one of the columns' vectors.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void prepare_rows(
-    const __global uint* restrict problems,
+    const __global uint* restrict problems, const uint only_control,
     const uint n, const uint m, const uint planes, const uint n_listed, const double k,
     const __global double* restrict start,       // (m,): the host's g
     __global double* restrict columns,           // (slots, m)
@@ -82,7 +84,7 @@ INLINE double dual_part(
 // After T(g): f, the shift of g, and the dual. Then the softmin of the columns, T(f), is prepared.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void row_step(
-    const __global uint* restrict problems,
+    const __global uint* restrict problems, const uint only_control,
     const uint n, const uint m, const uint shares, const uint planes, const uint n_listed,
     const double k, const double epsilon, const double inverse_rho_source,
     const double inverse_rho_target,
@@ -145,7 +147,7 @@ void row_step(
 // softmin of the rows, T(g), is prepared.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_step(
-    const __global uint* restrict problems,
+    const __global uint* restrict problems, const uint only_control, const double only_radius,
     const uint n, const uint m, const uint shares, const uint planes, const uint n_listed,
     const double k, const double epsilon, const double inverse_rho_source,
     const double inverse_rho_target,

@@ -1,6 +1,5 @@
 """The host side of ``cl_kernels/half_steps.cl``: iterations whose vectors stay on the device."""
 
-import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -44,17 +43,18 @@ _RATES = ("epsilon", "inverse_rho_source", "inverse_rho_target")
 _SIDES, _LOGITS = ("rows", "columns"), ("logits", "levels")
 ARGUMENTS = {
     "prepare_rows": (
-        "problems", "n", "m", "planes", "n_listed", "k", "start", "columns", "row_costs",
-        "tile_max", "row_level", *_LOGITS,
+        "problems", "first_control", "n", "m", "planes", "n_listed", "k", "start", "columns",
+        "row_costs", "tile_max", "row_level", *_LOGITS,
     ),
     "row_step": (
-        "problems", "n", "m", "row_shares", "planes", "n_listed", "k", *_RATES, "maxima", "sums",
-        "row_level", *_SIDES, "column_costs", "tile_max", "column_level", *_LOGITS, "numbers",
+        "problems", "control", "n", "m", "row_shares", "planes", "n_listed", "k", *_RATES, "maxima",
+        "sums", "row_level", *_SIDES, "column_costs", "tile_max", "column_level", *_LOGITS,
+        "numbers",
     ),
     "column_step": (
-        "problems", "n", "m", "column_shares", "planes", "n_listed", "k", *_RATES, "maxima",
-        "sums", "column_level", *_SIDES, "row_costs", "tile_max", "row_level", *_LOGITS, "products",
-        "numbers",
+        "problems", "control", "radius", "n", "m", "column_shares", "planes", "n_listed", "k",
+        *_RATES, "maxima", "sums", "column_level", *_SIDES, "row_costs", "tile_max", "row_level",
+        *_LOGITS, "products", "numbers",
     ),
 }  # fmt: skip
 
@@ -111,8 +111,10 @@ class HalfSteps(ResidentSteps):
         arguments = self._given((rows, columns), masses, inverse_rho, 1, costs.size, (None, None))
         for name, values in (("row_costs", costs), ("column_costs", costs.T)):
             arguments[name] = self._work.buffer(values, np.float64)
-        arguments["n_listed"] = np.uint32(0)
-        return DeviceIteration(self, SLOTS, (rows, columns), arguments, table=table)
+        arguments |= {"problems": self._work.buffer(table, np.uint32), "n_listed": np.uint32(0)}
+        return DeviceIteration(
+            self, SLOTS, (rows, columns), arguments, n_pairs=2 * rows.stride * columns.stride
+        )
 
     def start_batch_iteration(
         self, rows: Batch, columns: Batch, weights: tuple[Float64, Float64],
@@ -132,7 +134,10 @@ class HalfSteps(ResidentSteps):
         arguments = self._given(
             clouds, (masses[0], masses[1]), inverse_rho, len(rows.counts), len(pairs[0].tiles),
             pairs,
-        )  # fmt: skip
+        ) | {
+            "problems": self._work.empty(4 * len(PROBLEM) * len(rows.counts)),
+            "first_control": np.uint32(0), "control": np.uint32(0), "radius": np.float64(0),
+        }  # fmt: skip
         made = BatchIteration(self, SLOTS, clouds, arguments)
         table = np.zeros((len(rows.counts), len(PROBLEM)), np.uint32)
         for side, first in zip(sides, ("FIRST_ROW", "FIRST_COLUMN"), strict=True):
@@ -145,6 +150,7 @@ class HalfSteps(ResidentSteps):
             for side, field in zip(sides, ("N", "M"), strict=True):
                 table[:, PROBLEM.index(field)] = np.where(left, side.tiles * tile, 0)
             made.arguments["n_listed"] = np.uint32(blocks.sum())
+            made.n_pairs = 2 * int(blocks.sum()) * tile**2
             for own, side, others, listed in (
                 ("row", rows, columns, pairs[0]), ("column", columns, rows, pairs[1])
             ):  # fmt: skip
@@ -208,7 +214,7 @@ class HalfSteps(ResidentSteps):
             "logits": 8 * longest, "levels": 8 * n_pairs,
             "start": 8 * columns.stride, "row_level": 8 * tiles[0], "column_level": 8 * tiles[1],
             "tile_max": 8 * max(tiles), "products": 8 * MEMORY**2 * count,
-            "numbers": 8 * len(NUMBERS) * count, "problems": 4 * len(PROBLEM) * count,
+            "numbers": 8 * len(NUMBERS) * count,
         }  # fmt: skip
         numbers = {
             "none": 0, "n": rows.stride, "m": columns.stride, "row_tiles": tiles[0],
@@ -235,24 +241,18 @@ class HalfSteps(ResidentSteps):
         self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any,
         prepare: bool,
     ) -> list[cl.Event]:  # fmt: skip
-        table = iteration.table
+        if not isinstance(iteration, BatchIteration):
+            return super()._tell(iteration, bound, control, radius, prepare)
+        table, bits = iteration.table, iteration.of_all(radius).view(np.uint64)
         table[:, CONTROL] = control
-        if iteration.needs_radius(radius):
-            bits = iteration.of_all(radius).view(np.uint64)
-            table[:, CONTROL + 1], table[:, CONTROL + 2] = bits & 0xFFFFFFFF, bits >> 32
+        table[:, CONTROL + 1], table[:, CONTROL + 2] = bits & 0xFFFFFFFF, bits >> 32
         buffer = iteration.arguments["problems"]
         return [cl.enqueue_copy(self._work.queue, buffer, table, is_blocking=False)]
 
-    def _measured(self, iteration: DeviceIteration) -> contextlib.AbstractContextManager[None]:
-        loop, (rows, columns) = self._loop, iteration.sides
-        listed = int(iteration.arguments["n_listed"])
-        kernel = loop.kernel("log_sum_exp.cl", "log_sum_exp", rows, iteration.precise, listed > 0)
-        pairs = listed * loop.constants.tile**2 or rows.stride * columns.stride
-        return loop.budget(kernel).measure(2 * pairs)
-
     def _launches(self, iteration: DeviceIteration, prepare: bool) -> Iterator[Launch]:
         constants, (rows, columns) = self._loop.constants, iteration.sides
-        group, whole = (constants.group,), (constants.group * len(iteration.table),)
+        problems = iteration.numbers.size // len(NUMBERS)
+        group, whole = (constants.group,), (constants.group * problems,)
         if prepare:
             yield "prepare_rows", whole, group
         for softmin, step, own, shares in (
@@ -264,7 +264,8 @@ class HalfSteps(ResidentSteps):
             yield step, whole, group
 
     def _kernels(self, iteration: DeviceIteration) -> BoundKernels:
-        dimension, precise = iteration.sides[0].centers.shape[1], iteration.precise
+        rows, precise = iteration.sides[0], iteration.precise
+        dimension = rows.centers.shape[1]
         listed = isinstance(iteration, BatchIteration)
         programs, key = self._loop.programs, (dimension, precise, listed)
         if key not in self._bound:
@@ -272,7 +273,9 @@ class HalfSteps(ResidentSteps):
             for side in ("rows", "columns"):
                 own = programs.kernels(Variant("log_sum_exp.cl", dimension, precise, listed))
                 kernels[side] = own["log_sum_exp"]
-            self._bound[key] = BoundKernels(kernels, _arguments(listed))
+            kernel = self._loop.kernel("log_sum_exp.cl", "log_sum_exp", rows, precise, listed)
+            budget = self._loop.budget(kernel)
+            self._bound[key] = BoundKernels(kernels, _arguments(listed), budget)
         return self._bound[key]
 
     def _scalars(self, iteration: DeviceIteration) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The host of both iterations on the device: what it sets, starts, awaits and reads."""
 
-import contextlib
+import time
 import warnings
 import weakref
 from abc import ABC, abstractmethod
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import Float64, IterationNumbers
 from clmorph.errors import ClmorphWarning
@@ -46,9 +47,8 @@ class DeviceIteration:
     arguments: dict[str, Any]
     epsilon: float = 0.0
     precise: bool = False
-    table: Any = None  #: (problems, fields), what kernels are told of each problem
     version: int = 0  #: changes with the buffers among the arguments
-    radius: Any = None  #: the trust radius that kernels have been told
+    n_pairs: int = 0  #: pairs of points that the softmins of an iteration sum
 
     def __post_init__(self) -> None:
         self.numbers: Float64 = np.zeros(len(self.slots.numbers))
@@ -81,15 +81,6 @@ class DeviceIteration:
     def go_back(self, which: Any = True) -> None:
         """Drop the last iteration, and take the image of the one before as the next potential."""
         self.at = self._images + 1 - self._parity
-
-    def needs_radius(self, radius: Any) -> bool:
-        """Return whether kernels have not been told of this trust radius, and note it."""
-        before, self.radius = self.radius, radius
-        return bool(before != radius)
-
-    def of_all(self, values: Any) -> Float64:
-        """Return a number of the only problem as an array of such numbers."""
-        return np.full(1, values, float)
 
     def keep(self, problems: NDArray[np.intp]) -> None:
         """Go on with the only problem."""
@@ -129,10 +120,13 @@ class DeviceIteration:
 class BatchIteration(DeviceIteration):
     """Iterations of many problems on the device; each stops by itself.
 
-    sides: the clouds of all problems, as `clouds.Cloud`.
+    sides: the clouds of all problems, as `clouds.Cloud`; table: (problems, fields), what kernels
+    are told of each problem.
 
     `keep` leaves some of the problems, in their order; numbers are theirs.
     """
+
+    table: Any = None
 
     def begin(
         self,
@@ -181,10 +175,6 @@ class BatchIteration(DeviceIteration):
         own = (self.of_all(each).astype(np.int64) for each in (begun, place, count))
         return super().control(*own)
 
-    def needs_radius(self, radius: Any) -> bool:
-        """Return that problems have radii of their own."""
-        return True
-
     def of_all(self, values: Any) -> Float64:
         """Return numbers of the problems that are left as such of all problems."""
         own = np.zeros(len(self.table))
@@ -232,13 +222,15 @@ class BatchIteration(DeviceIteration):
 class BoundKernels:
     """Kernels of their own, whose arguments stay set while an iteration goes on.
 
-    arguments: the names of the arguments of kernels, in their order.
+    arguments: the names of the arguments of kernels, in their order; budget: learns from the
+    seconds that iterations take.
     """
 
     def __init__(
-        self, kernels: dict[str, cl.Kernel], arguments: dict[str, tuple[str, ...]]
-    ) -> None:
-        self.kernels = kernels
+        self, kernels: dict[str, cl.Kernel], arguments: dict[str, tuple[str, ...]],
+        budget: LaunchBudget | None = None,
+    ) -> None:  # fmt: skip
+        self.kernels, self.budget = kernels, budget
         self._places: dict[str, list[tuple[cl.Kernel, int]]] = {}
         for kernel, names in arguments.items():
             for number, name in enumerate(names):
@@ -338,16 +330,16 @@ class ResidentSteps(ABC):
         epsilon = iteration.epsilon
         return {"k": np.float64(LOG2_E / epsilon), "epsilon": np.float64(epsilon)}
 
-    @abstractmethod
     def _tell(
         self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any,
         prepare: bool,
     ) -> list[cl.Event]:  # fmt: skip
         """Tell kernels of the next iteration, and return what they have to wait for."""
-
-    def _measured(self, iteration: DeviceIteration) -> contextlib.AbstractContextManager[None]:
-        """Return a context in which the launches of an iteration are timed."""
-        return contextlib.nullcontext()
+        if prepare:
+            bound.set("first_control", np.uint32(control))
+        bound.set("control", np.uint32(control))
+        bound.set("radius", np.float64(radius))
+        return []
 
     def _set_potential(
         self, iteration: DeviceIteration, g: Float64, epsilon: float, precise: bool
@@ -368,25 +360,27 @@ class ResidentSteps(ABC):
         bound.bind(iteration, self._scalars)
         prepare, iteration.prepared = iteration.is_unprepared, -1
         control, events = iteration.control(begun, place, count), list[cl.Event]()
-        with self._measured(iteration):
-            try:
-                events += self._tell(iteration, bound, control, radius, prepare)
-                for name, size, group in self._launches(iteration, prepare):
-                    kernel, before = bound.kernels[name], events[-1:]
-                    events.append(
-                        cl.enqueue_nd_range_kernel(queue, kernel, size, group, wait_for=before)
-                    )
+        began = time.perf_counter()
+        try:
+            events += self._tell(iteration, bound, control, radius, prepare)
+            for name, size, group in self._launches(iteration, prepare):
+                kernel, before = bound.kernels[name], events[-1:]
                 events.append(
-                    cl.enqueue_copy(
-                        queue, iteration.numbers, iteration.arguments["numbers"],
-                        is_blocking=False, wait_for=events[-1:],
-                    )
-                )  # fmt: skip
-                events[-1].wait()
-            except BaseException:
-                # Ctrl-C may come between a command and the list of its event.
-                queue.finish()
-                raise
+                    cl.enqueue_nd_range_kernel(queue, kernel, size, group, wait_for=before)
+                )
+            events.append(
+                cl.enqueue_copy(
+                    queue, iteration.numbers, iteration.arguments["numbers"],
+                    is_blocking=False, wait_for=events[-1:],
+                )
+            )  # fmt: skip
+            events[-1].wait()
+        except BaseException:
+            # Ctrl-C may come between a command and the list of its event.
+            queue.finish()
+            raise
+        if bound.budget:
+            bound.budget.learn(iteration.n_pairs, time.perf_counter() - began)
         return iteration.read()
 
     def _potentials(self, iteration: DeviceIteration) -> tuple[Float64, Float64, Float64]:

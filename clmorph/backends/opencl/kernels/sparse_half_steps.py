@@ -191,16 +191,6 @@ class StoredSteps(ResidentSteps):
             iteration.numbers[NUMBERS.index(name)] = middle
         return {"start": pad(g, iteration.sides[1].stride, 0.0), "numbers": iteration.numbers}
 
-    def _tell(
-        self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any,
-        prepare: bool,
-    ) -> list[cl.Event]:  # fmt: skip
-        if prepare:
-            bound.set("first_control", np.uint32(control))
-        bound.set("control", np.uint32(control))
-        bound.set("radius", np.float64(radius))
-        return []
-
     def _in_order(self, side: Any, values: Float64) -> Float64:
         return values
 
