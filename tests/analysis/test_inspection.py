@@ -464,6 +464,7 @@ class TestTime:
     def _own_time(self, monkeypatch):
         monkeypatch.setattr("clmorph.analysis.timing.perf_counter", time.process_time)
 
+    @pytest.mark.full
     @pytest.mark.parametrize(("side", "blur"), [(32, 0.03), (64, 0.015), (64, 0.03)])
     def test_of_frames_is_about_what_they_take(self, device, side, blur):
         result = clmorph.morph(
@@ -485,6 +486,7 @@ class TestTime:
                 return
         raise AssertionError(f"estimated times are off by {ratios}")
 
+    @pytest.mark.full
     def test_of_frames_by_a_sample_is_about_that_of_all(self, device, monkeypatch):
         found = inspect(*_photos(64), backend=device, divergence=False, **PHOTO)
         arguments = found.source, found.target, found.potentials
@@ -722,6 +724,7 @@ class TestWhatAMorphWouldDraw:
         assert found.moving == pytest.approx(whole.moving, rel=0.1)
         assert found.seconds.frames > 0
 
+    @pytest.mark.full
     @pytest.mark.parametrize("preset", list(PRESETS))
     def test_in_every_preset(self, preset, tmp_path, capfd):
         """The command line's limits, in proportion to the size of the pictures."""

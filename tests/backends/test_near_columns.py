@@ -81,6 +81,7 @@ def test_tiny_budgets_hold_for_far_moves(device, rng):
     assert ((got - exact) / epsilon).max() <= left_out + 4e-6
 
 
+@pytest.mark.full
 def test_all_kinds_of_masks_are_met(device, rng):
     """Masks are full (then bits are not looked at), partly filled, or empty; sums are right."""
     own, g, want, epsilon = clouds(device, 96, 0.02, rng)
@@ -114,6 +115,7 @@ BOUNDS = {
 BOUNDS["both"] = BOUNDS["columns"] + BOUNDS["boxes"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("bounds", BOUNDS.values(), ids=BOUNDS)
 def test_bounds_over_rows_change_no_mask(device, monkeypatch, bounds):
     """Columns that a bound excludes are not notable: without the bound the masks are the same.

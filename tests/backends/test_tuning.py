@@ -123,6 +123,7 @@ def test_builds_that_fail_are_passed_over(device, monkeypatch):
     assert tune(device.device, lambda line: None)[0] == start
 
 
+@pytest.mark.full
 @pytest.mark.needs_device
 def test_the_command(capsys, fast_tile, tmp_path):
     assert main(["tune"]) == 0

@@ -409,6 +409,7 @@ def test_progress_is_shown_to_people_only(pictures):
     assert re.fullmatch(r"memory: about [\d.]+ [MG]B", memory)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion(shell, capfd):
     assert main(["completion", shell]) == 0

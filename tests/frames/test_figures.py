@@ -102,6 +102,7 @@ class TestLogos:
         frame = clmorph.morph(first, last, backend=device, preset="logo", **SMALL).frame(0.5)
         assert label(frame[..., 0] < 0.5)[1] == 1
 
+    @pytest.mark.full
     def test_compressed_logos(self, device):
         pair = [compressed(logo(name, 200), 75) for name in ("star", "disc")]
         morph = clmorph.morph(*pair, backend=device, **SMALL)
@@ -141,6 +142,7 @@ class TestLogos:
         morph = clmorph.morph(*glass, backend=device, preset="logo", barycentric=True, **SMALL)
         assert morph.frame(0.5)[32, 32, 3] == pytest.approx(0.7, abs=0.05)
 
+    @pytest.mark.full
     def test_numpy_draws_the_same(self, device, pair):
         first, second = (
             clmorph.morph(*pair, backend=backend, **SMALL) for backend in (device, "numpy")

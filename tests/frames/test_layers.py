@@ -54,6 +54,7 @@ def test_a_deformation_is_warped(name, device):
     assert psnr(frame, truth) > psnr((image + last) / 2, truth) + 6
 
 
+@pytest.mark.full
 def test_unlike_pictures_are_not_seen_through_each_other(device):
     ends = photo("portrait", 128), photo("cat", 128)
     morph = clmorph.morph(*ends, backend=device, n_frames=3)

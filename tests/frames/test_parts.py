@@ -36,6 +36,7 @@ def test_together_and_one_by_one(any_backend, monkeypatch, rng, sigma):
         assert total.mean() == pytest.approx(1.0, abs=0.35)  # relative to an even spread
 
 
+@pytest.mark.full
 def test_many_groups_on_a_tall_canvas(any_backend, rng):
     """Positions far down in the strip keep their precision."""
     options = {"n_frames": 2, "preset": "paper", "size": None, "extent": "true"}

@@ -27,6 +27,7 @@ def test_the_astronaut_has_one_face():
     assert mouth == pytest.approx((224, 143), abs=8)
 
 
+@pytest.mark.full
 def test_no_face_is_found_where_there_is_none(rng):
     """In 100 pictures of textures, coins, gravel, a cat, drawings and letters."""
     found = [cascade_faces(small_copy(each, SEARCHED)) for each in without_faces(rng, 100)]

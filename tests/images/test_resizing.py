@@ -38,6 +38,7 @@ def test_integers_are_reduced_as_their_floats(rng, dtype, channels):
     assert kind_of(as_pixels(image)) == kind_of(np.broadcast_to(image, (90, 70, max(3, channels))))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("mode", ["RGB", "RGBA"])
 def test_large_flat_pictures_are_reduced_in_bands(tmp_path, mode):
     """A logo of 25 megapixels took a minute and 3.8 GB."""

@@ -71,6 +71,7 @@ def test_landmarks_go_to_their_partners(device, rng, reach):
     assert np.abs(guide.frame(1.0) - b).max() < 1e-4
 
 
+@pytest.mark.full
 def test_landmarks_that_share_coordinates(rng):
     """With the six coordinates that are left in the cost, 24 of them stay within a pixel."""
     n = 36

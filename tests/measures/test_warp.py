@@ -40,6 +40,7 @@ def plausible(rng):
     return np.array(starts), np.array(ends)
 
 
+@pytest.mark.full
 def test_all_of_200_plausible_sets_are_taken(rng):
     """None is refused, none folds, and none is missed."""
     for _ in range(200):

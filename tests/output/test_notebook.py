@@ -117,6 +117,7 @@ def test_films_are_titled_by_what_they_are(pair):
     assert "&lt;title&gt;Rearrangement of 8 &amp;#215; 6 pixels" in html
 
 
+@pytest.mark.full
 def test_an_inspection_is_drawn_shown_and_saved(pair, tmp_path, monkeypatch):
     import matplotlib.pyplot as plt
     from matplotlib.testing.compare import compare_images

@@ -205,6 +205,7 @@ def course(opened, count):
     )
 
 
+@pytest.mark.full
 def test_ping_pong_loop_and_once(rng, show):
     # A quarter of a second is the most that counts at once: however slow the machine, no frame
     # is skipped.
@@ -610,6 +611,7 @@ def test_a_saved_frame_is_the_frame(rng, show):
         assert np.array_equal(np.asarray(picture.convert("RGBA")), frames[1])
 
 
+@pytest.mark.full
 def test_a_long_morph_starts_at_once_and_forgets(rng, show):
     """More than is kept decoded: 300 megabytes of pixels."""
     frames = [np.full((1000, 1000, 3), k, np.uint8) for k in range(76)]

@@ -75,6 +75,7 @@ def test_arrays_that_leave_no_room(views):
     assert guides(images, pair, MorphOptions(), maps).options.landmarks
 
 
+@pytest.mark.full
 def test_chains_have_landmarks_for_each_morph(views, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for name, view in zip("abcd", (views[0], views[1], views[3], views[2]), strict=True):
@@ -105,6 +106,7 @@ def test_chains_have_landmarks_for_each_morph(views, tmp_path, monkeypatch, capf
         clmorph.morph(*pictures[:2], **SMALL, landmarks=saved)
 
 
+@pytest.mark.full
 def test_mixes_have_landmarks_for_each_pair(views):
     images = [views[0], views[3], views[1]]
     mixes = clmorph.mix(images, [[1, 0, 1], [1, 1, 1]], **SMALL)
@@ -149,6 +151,7 @@ def test_labels_of_what_is_not_transparent(rng):
         clmorph.morph(clear, opaque, labels="auto", n_frames=2, backend="numpy")
 
 
+@pytest.mark.full
 def test_inspection_says_and_draws_landmarks(views, tmp_path):
     options = {name: value for name, value in SMALL.items() if name != "n_frames"}
     drawn = {}

@@ -232,6 +232,7 @@ class TestCommand:
             with Image.open(files[number]) as image:
                 np.testing.assert_array_equal(pixels[tuple(corner)], np.asarray(image))
 
+    @pytest.mark.full
     def test_a_film_of_a_path(self, files, tmp_path, capsys):
         from clmorph.cli.main import main
 
@@ -249,6 +250,7 @@ class TestCommand:
         assert main(["morph", "--config", str(out), "-o", str(tmp_path / "x.gif")]) == 2
         assert "clmorph mix" in capsys.readouterr().err
 
+    @pytest.mark.full
     def test_recipes_of_sheets(self, files, tmp_path, capsys):
         from clmorph.cli.main import main
 
@@ -282,6 +284,7 @@ class TestCommand:
         assert not list(tmp_path.glob("x.*"))
 
 
+@pytest.mark.full
 def test_large_images_are_drawn_from_smaller_copies(device):
     """Their particles are of copies, and their detail and corners of the images themselves."""
     large = [np.kron(image, np.ones((30, 30, 1))) for image in FOUR[:2]]  # 720 pixels

@@ -11,6 +11,7 @@ from PIL import Image
 import clmorph
 from clmorph import InputError, MorphOptions
 from clmorph.cli.main import main
+from clmorph.pipeline.prepare import as_options
 from clmorph.pipeline.presets import DRAFT, PRESETS, preset_for
 
 SMALL = {"n_frames": 3, "solve_size": 16, "backend": "numpy"}
@@ -31,13 +32,14 @@ def test_pictures_choose(name):
     pair = kinds()[name]
     # Nothing is found in these, so that the result has no landmarks.
     wanted = MorphOptions(preset=name, n_frames=3, solve_size=16, landmarks=None)
-    for way in ({}, {"preset": "auto"}, {"preset": None}):
-        assert clmorph.morph(*pair, **SMALL, **way).options == wanted
+    assert clmorph.morph(*pair, **SMALL).options == wanted
+    given = {key: value for key, value in SMALL.items() if key != "backend"}
+    for preset in ("auto", None):
+        assert as_options(None, preset, given, pair) == wanted.replace(landmarks="auto")
     # What is given stays, and an object of options is complete.
-    assert clmorph.morph(*pair, **SMALL, detail="particles").options.detail == "particles"
-    assert clmorph.morph(*pair, MorphOptions(n_frames=3), backend="numpy").detail in (
-        "layers", "pixels",
-    )  # fmt: skip
+    chosen = as_options(None, None, {**given, "detail": "particles"}, pair)
+    assert chosen.detail == "particles"
+    assert as_options(MorphOptions(n_frames=3), None, {}, pair) == MorphOptions(n_frames=3)
 
 
 def test_pairs_of_two_kinds():
@@ -90,6 +92,7 @@ OPTIONS = ["--frames", "3", "--solve-size", "16", "--backend", "numpy"]
 
 
 class TestCommand:
+    @pytest.mark.full
     @pytest.mark.parametrize("name", ["pixel-art", "logo", "photo"])
     def test_it_says_what_it_took(self, files, capfd, name):
         pair = [f"{name}{number}.png" for number in (0, 1)]
@@ -126,6 +129,7 @@ class TestCommand:
         assert 'detail = "layers"' in shown.out
         assert "name pictures" in shown.err
 
+    @pytest.mark.full
     def test_it_says_what_a_file_changes(self, files, capfd):
         (files / "mine.toml").write_text('detail = "particles"\n')
         pair = ["logo0.png", "logo1.png"]
@@ -147,6 +151,7 @@ class TestCommand:
         found = json.loads(capfd.readouterr().out)
         assert (found["frames"], found["options"]["size"]) == (5, 96)
 
+    @pytest.mark.full
     def test_inspect(self, files, capfd):
         pair = ["logo0.png", "logo1.png"]
         command = ["inspect", *pair, "--backend", "numpy", "--solve-size", "16", "--json"]

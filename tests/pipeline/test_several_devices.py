@@ -196,6 +196,7 @@ def test_devices_of_two_platforms(rng):
         assert np.abs(ours - theirs).max() <= 1e-3
 
 
+@pytest.mark.full
 def test_the_command_line_takes_several_devices(device, tmp_path, monkeypatch):
     from PIL import Image
 

@@ -47,6 +47,7 @@ def test_frames_are_as_large_as_the_pictures_and_end_in_them(few, any_backend):
     assert np.mean(morph.coverage(0.0) < 0.1) < 0.01
 
 
+@pytest.mark.full
 def test_they_look_as_if_pixels_were_lifted(monkeypatch):
     a, b = photographs((80, 80), (80, 80))
     frames = []

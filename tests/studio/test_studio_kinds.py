@@ -53,6 +53,7 @@ def files_of(page, pictures):
     return found
 
 
+@pytest.mark.full
 def test_kinds_of_work(opened, pictures, place):
     """Each tab of the page makes the same file as its command and its Python code."""
     page = opened()
@@ -162,6 +163,7 @@ def test_painted_regions_go_into_each_other(opened, pictures, place):
     assert page.evaluate("studio.landmarks.pairs().length") == 0
 
 
+@pytest.mark.full
 def test_a_film_beside_a_fade_and_beside_the_settings_before(opened, pictures):
     page = opened()
     take(page, pictures)
@@ -237,6 +239,7 @@ def test_painted_regions_take_the_size_of_the_picture():
             read_painted(wrong, (4, 6), "labels")
 
 
+@pytest.mark.full
 def test_waiting_work_keeps_the_paint_that_it_was_asked_with(opened, pictures):
     """Two browser tabs of different kinds: one waits for the other, and is painted on meanwhile."""
     busy, page = opened(), opened()

@@ -61,6 +61,7 @@ def test_pasted_pictures_and_landmarks_that_are_moved(opened, pictures):
     assert "--landmark" not in page.input_value("#command")
 
 
+@pytest.mark.full
 def test_a_chain_and_all_its_files(opened, pictures, place):
     third = place / "c.png"
     Image.fromarray(np.full((40, 40, 3), 90, np.uint8)).save(third)
@@ -85,6 +86,7 @@ def test_a_chain_and_all_its_files(opened, pictures, place):
     assert fetched(page, "mp4")[4:8] == b"ftyp"
 
 
+@pytest.mark.full
 def test_the_command_is_that_of_a_run_whose_result_comes_before_its_answer(opened, pictures, place):
     """On a busy machine a small run ends before the answer to its request is read."""
     page = opened()
@@ -124,6 +126,7 @@ def test_pictures_of_one_name_keep_apart(opened, pictures, place):
         assert page.evaluate("studio.state.pictures.at(-1).name") == want
 
 
+@pytest.mark.full
 def test_every_tab_has_room_on_a_phone(opened, pictures):
     page = opened(viewport={"width": 390, "height": 800}, is_mobile=True, has_touch=True)
     take(page, pictures)

@@ -151,6 +151,7 @@ def test_a_reload_keeps_pictures_points_settings_and_the_result(opened, pictures
     assert page.evaluate("studio.state.view.contentWindow.clmorph.times.length") == 5
 
 
+@pytest.mark.full
 def test_undo_takes_settings_and_points_back(opened, pictures):
     page = opened()
     take(page, pictures)

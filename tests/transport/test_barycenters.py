@@ -200,6 +200,7 @@ def test_a_support_out_of_reach(device):
         )
 
 
+@pytest.mark.full
 def test_order_and_zero_shares_do_not_matter(device):
     measures = [_cloud(seed) for seed in (4, 5, 6)]
     start = _cloud(7)

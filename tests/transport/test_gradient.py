@@ -222,6 +222,7 @@ def test_a_batch_names_the_pair_that_is_wrong(rng):
         clmorph.sinkhorn_divergence_batch([good[0]], [good[1]], 0.01, 0.5, 1e-6, 1, backend="numpy")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("blur", "length"), [(0.02, 12.0), (0.3, 1.0)])
 def test_truncated_sums(any_backend, rng, blur, length):
     """With few near pairs, and with so many that all pairs are summed."""

@@ -516,6 +516,7 @@ def test_exactly_as_many_pairs_as_are_allowed_are_stored(device):
         assert stored_grid(*given, most, STORED_CHOICES[:1]) is None
 
 
+@pytest.mark.full
 def test_pairs_that_wait_for_a_smaller_residual_are_stored_then(device, monkeypatch):
     """Iterations over the points reach the residual; cycles over the pairs follow."""
     choice = StoredChoice(1e-4, 6.0, residual=0.5)
@@ -624,6 +625,7 @@ def test_without_memory_for_pairs_points_are_iterated_over(device, monkeypatch):
     assert got.n_iter > 10
 
 
+@pytest.mark.full
 def test_pairs_that_mislead_are_left(monkeypatch):
     """With far too few pairs cycles do not converge; the solve does."""
     monkeypatch.setattr(multiscale, "STORED_CHOICES", (StoredChoice(0.3, 50.0),))

@@ -70,6 +70,7 @@ def exact_residual(pair, got):
     st.sampled_from(REACHES), st.sampled_from([1e-4, 1e-2]),
 )  # fmt: skip
 # Pairs left out and float32 powers together were above the truncation.
+@pytest.mark.full
 @example(1, "ten orders", 0.15, None, 1e-4)
 def test_everything_said_holds_over_all_pairs(backend, multiscale, seed, kind, blur, reach, budget):
     rng = np.random.default_rng(seed)
