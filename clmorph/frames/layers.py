@@ -61,9 +61,9 @@ OUTLINE, NARROWEST = 0.006, 1.2
 MARGIN = 1 / 8
 #: By how much the mean of two distances, halfway, may be made steeper.
 STEEPER = 1.5
-#: Pixels along the longer side by which figures are compared, over how many of them a layer stops
-#: being seen beyond its own figure, and the share that is left of it.
-COVER_PIXELS, COVER, HARDLY = 128, 3.0, 0.05
+#: Pixels along the longer side by which figures are compared, and over how many of them a layer
+#: stops being seen beyond its own figure.
+COVER_PIXELS, COVER = 128, 3.0
 #: Agreement below this is none.
 FAINT = 0.01
 
@@ -261,7 +261,7 @@ class Pictures:
             low = MEAN_SHARE * blurred(apart.astype(float), LOW * max(coarse.shape))
             low[..., 3] = 0.0
             return self._shown(drawn("own", weights, canvas, low)[..., :3])
-        covered = self._where_covered(layers, ways, weights, canvas)
+        covered = self._where_covered(layers, ways, shares, weights, canvas)
         figure = drawn("figure", covered, canvas).astype(float)
         area = float(np.dot(shares, self._areas))
         softness = float(np.dot(shares, [each.softness for each in self.figures]))
@@ -274,8 +274,9 @@ class Pictures:
         # Where both layers differ, the mean has slopes unlike 1, with which its edge would be soft.
         slope = np.hypot(*slopes(distance * unit))
         least = 1.0 - STEEPER * (1.0 - float(max(shares))) * self.smoothing
-        distance = distance / np.clip(slope, least, 1.0)
-        opaque = _inside(distance, area, softness / unit, most)[..., None]
+        edge = softness / unit * np.clip(slope, least, 1.0)
+        level, opaque = _inside(distance, area, edge, most)
+        opaque = opaque[..., None]
         if "alpha" in self._channels:
             opaque = opaque * np.clip(drawn("alpha", weights, canvas)[..., 3:], 0, 1)
         ground, alpha = self._ground(shares)
@@ -286,6 +287,8 @@ class Pictures:
             # What agrees is a warp of both pictures, with the edges that they have.
             own = drawn("own", even, canvas)
             seen = sampled(agreement[..., None], self.stage.places(canvas.positions()))
+            # Where the area asks for another outline, the pictures' own ones would be halos.
+            seen = seen * np.exp(-((level * unit / MET) ** 2))
             colors = colors + seen * (own[..., :3] - colors)
             if self.clear:
                 whole = whole + seen * (own[..., 3:] - whole)
@@ -296,6 +299,7 @@ class Pictures:
         self,
         layers: Sequence[Layer],
         ways: Sequence[float],
+        shares: Sequence[float],
         weights: Sequence[Array],
         canvas: Canvas,
     ) -> list[Array]:
@@ -309,13 +313,18 @@ class Pictures:
             short.append(np.minimum(distance * max(*coarse.scale, 1e-9), 0.0))
         nearest = np.max(short, axis=0)
         places = coarse.places(self.stage.positions())
-        seen = [
-            weight
-            * sampled(np.clip(1 + (each - nearest) / COVER, HARDLY, 1)[..., None], places)[..., 0]
-            for weight, each in zip(weights, short, strict=True)
+        covers = [
+            sampled(np.clip(1 + (each - nearest) / COVER, 0, 1)[..., None], places)[..., 0]
+            for each in short
         ]
-        total = np.maximum(np.sum(seen, axis=0), np.finfo(float).tiny)
-        return [each / total for each in seen]
+        # What a layer does not show goes to those that have a figure there.
+        left = 1.0 - sum(w * cover for w, cover in zip(weights, covers, strict=True))
+        parts = [share * cover for share, cover in zip(shares, covers, strict=True)]
+        total = np.maximum(sum(parts), np.finfo(float).tiny)
+        return [
+            weight * cover + left * part / total
+            for weight, cover, part in zip(weights, covers, parts, strict=True)
+        ]
 
     def _shown(self, colors: NDArray[np.floating]) -> Array:
         """Return colors of the path as sRGB."""
@@ -408,10 +417,12 @@ class Layers:
         self.agreement = scene.meet_details()
         self.fields = scene.fields
         halves = scene.halves()
+        shared = None
         if figures is not None:
             # The ground is drawn by itself.
             first, second = (half.outline for half in halves)
             within = np.maximum(first, second)
+            shared = np.clip((np.minimum(first, second) + RIM) / RIM, 0.0, 1.0)
             self.agreement = self.agreement * np.clip((within + 2 * RIM) / RIM, 0.0, 1.0)
             # Outlines that are apart are seen twice in a mixture.
             near = [np.clip(outline, -2 * RIM, 2 * RIM) for outline in (first, second)]
@@ -423,7 +434,7 @@ class Layers:
                 change = np.linalg.norm(half.change, axis=2)
                 self.agreement = self.agreement * np.exp(-((change / EQUAL) ** 2))
         self.times = switching_times(
-            [half.colors for half in halves], lightness, self.stage, operations
+            [half.colors for half in halves], lightness, self.stage, operations, shared=shared
         )
         self._paths = [follow(field, self.stage, operations) for field in self.fields]
         self._upload()
@@ -473,11 +484,17 @@ def _single(image: Array) -> Any:
     return image.astype(np.float32)
 
 
-def _inside(distance: Array, area: float, softness: float, most: float) -> Array:
-    """Return how far each pixel lies inside the figure, 0 to 1, so that it has an area."""
+def _inside(
+    distance: Array, area: float, softness: Array, most: float
+) -> tuple[float, NDArray[np.floating]]:
+    """Return the level of distance that is the outline of a figure of an area.
+
+    The array is how far each pixel lies inside, from 0 to 1, over a `softness` at each of them.
+    """
     if area >= 1 - 0.5 / distance.size:
-        return np.ones(distance.shape)
-    low, high = float(distance.min()) - softness, float(distance.max()) + softness
+        return 0.0, np.ones(distance.shape)
+    far = float(softness.max())
+    low, high = float(distance.min()) - far, float(distance.max()) + far
     low, high = max(low, -most), min(high, most)
     if low > high:
         low = high = float(np.clip(0.0, high, low))
@@ -485,4 +502,4 @@ def _inside(distance: Array, area: float, softness: float, most: float) -> Array
         level = 0.5 * (low + high)
         found = np.clip(0.5 + (distance - level) / softness, 0.0, 1.0)
         low, high = (level, high) if found.mean() > area else (low, level)
-    return np.asarray(found)
+    return level, np.asarray(found)

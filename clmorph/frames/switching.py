@@ -31,34 +31,44 @@ NOISE_POINTS = 40
 ROUNDS, BOTH = 3, np.sqrt(2.0)
 #: What a change of color, and a place without any detail, weigh relative to the mean detail.
 CHANGING, PLAIN = 0.3, 0.2
+#: What a place that only one picture shows weighs beside one that both show.
+UNSHARED = 1e-3
 
 
 def switching_times(
-    halves: Sequence[Array], lightness: Array, stage: Canvas, operations: Operations, seed: int = 0
+    halves: Sequence[Array],
+    lightness: Array,
+    stage: Canvas,
+    operations: Operations,
+    seed: int = 0,
+    shared: Array | None = None,
 ) -> Array:
     """Return the time, from 0 to 1, at which each place changes hands: (H, W) array.
 
     The halves are both pictures at t = 1/2; `lightness`, (3,), weighs the coordinates of a color.
+    Only places that both pictures show change hands: `shared`, (H, W), says how far they do.
     """
     longest = max(stage.shape)
     first, second = (blurred(half, DETAIL * longest) for half in halves)
+    shared = np.ones(stage.shape) if shared is None else np.maximum(shared, UNSHARED)
     unlike = np.linalg.norm(first - second, axis=2)
     # The same disorder at all sizes, so that a preview shows what the film will.
     shape = [max(1, round(NOISE_POINTS * side / longest)) for side in stage.shape]
     noise = np.random.default_rng(seed).standard_normal((*shape, 1))
     noise = enlarged(blurred(noise, DISORDER * NOISE_POINTS), stage.shape)[..., 0]
-    order = _standard(blurred(unlike, REGION * longest)) + STRENGTH * _standard(noise)
+    around = blurred(unlike * shared, REGION * longest) / blurred(shared, REGION * longest)
+    order = _standard(around, shared) + STRENGTH * _standard(noise, shared)
     cells = stage.reduced(CELLS)
     fine = np.concatenate(list(halves), axis=2)
     guide = reduced(fine, cells.shape).astype(np.float32)
     found = reduced(order[..., None], cells.shape)
-    even = np.ones(cells.shape, np.float32)
+    known = reduced(shared[..., None], cells.shape)[..., 0].astype(np.float32)
     for _ in range(ROUNDS):
         found = operations.edge_preserving_mean(
-            found.astype(np.float32), even, guide, guide, SIGMA, BOTH * LIKE
+            found.astype(np.float32), known, guide, guide, SIGMA, BOTH * LIKE
         )
     found = operations.edge_preserving_mean(
-        found.astype(np.float32), even, guide, fine.astype(np.float32), SIGMA_FINE,
+        found.astype(np.float32), known, guide, fine.astype(np.float32), SIGMA_FINE,
         BOTH * LIKE_FINE,
     )  # fmt: skip
     order = blurred(found[..., 0], longest / 256)
@@ -66,6 +76,7 @@ def switching_times(
     detail = sum(_steepness(half @ lightness, DETAIL * longest) for half in halves)
     weight = detail / max(float(np.mean(detail)), 1e-9)
     weight += CHANGING * unlike / max(float(unlike.mean()), 1e-9) + PLAIN
+    weight *= shared
     ranks = np.argsort(order, axis=None, kind="stable")
     passed = np.cumsum(weight.ravel()[ranks])
     times = np.empty(order.size)
@@ -78,9 +89,11 @@ def _steepness(image: Array, width: float) -> Array:
     return blurred(np.hypot(*slopes(image)), width)
 
 
-def _standard(values: Array) -> Array:
-    """Return values in units of their standard deviation."""
-    return np.asarray(values / max(float(values.std()), 1e-9))
+def _standard(values: Array, weights: Array) -> Array:
+    """Return values in units of their standard deviation, weighted."""
+    mean = np.average(values, weights=weights)
+    deviation = np.sqrt(np.average((values - mean) ** 2, weights=weights))
+    return np.asarray(values / max(float(deviation), 1e-9))
 
 
 def switched(times: Array, agreement: Array, t: float) -> Array:

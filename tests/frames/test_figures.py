@@ -206,11 +206,12 @@ class TestThreshold:
         crisp = sprites._inside(distance, area)
         assert crisp.mean() == pytest.approx(area, abs=0.5 / distance.size)
         assert set(np.unique(crisp)) <= {0.0, 1.0}
-        soft = layers._inside(distance, area, 0.02, np.inf)
+        level, soft = layers._inside(distance, area, np.full(distance.shape, 0.02), np.inf)
+        assert np.array_equal(soft == 1, distance - level >= 0.01) or area == 1
         assert soft.mean() == pytest.approx(area, abs=1e-6)
         assert 0 <= soft.min() <= soft.max() <= 1
         # Outlines move by no more than the largest level.
-        bounded = layers._inside(distance, area, 1e-6, 0.01)
+        _, bounded = layers._inside(distance, area, np.full(distance.shape, 1e-6), 0.01)
         assert np.all(bounded[distance > 0.011] == 1)
         assert area == 1 or np.all(bounded[distance < -0.011] == 0)
 
@@ -220,8 +221,8 @@ class TestThreshold:
             for area in (0.01, 0.5, 1.0):
                 for found in (
                     sprites._inside(values.astype(float), area),
-                    layers._inside(values.astype(float), area, 1.0, np.inf),
-                    layers._inside(values.astype(float), area, 1.0, 0.06),
+                    layers._inside(values.astype(float), area, np.ones(shape), np.inf)[1],
+                    layers._inside(values.astype(float), area, np.ones(shape), 0.06)[1],
                 ):
                     assert found.shape == shape
                     assert np.all(np.isfinite(found))
