@@ -213,10 +213,11 @@ typedef struct {
     const __global float4* points;                // (paths.x, paths.y), see place_layer
     const __global float4* change;                // (field.x, field.y)
     const __global float4* coefficients;          // (picture.x, picture.y)
+    const __global float* shares;                 // (paths.x, paths.y): weights of the fourth channel
     int2 canvas, paths, field, picture;           // height and width
     float2 step;                                  // from points of the field to pixels of the picture
     float tearing;                                // 1 over the distance at which tears begin
-    float way, share;
+    float way;
 } Layer;
 
 // Whole numbers, or parts, of a pixel's place. Places are added as vectors: Oclgrind 21.10 crashes
@@ -245,6 +246,19 @@ INLINE float4 at_pixel(const Layer layer, const int row, const int column)
     return inside(
         layer.points, layer.paths, in_tables(layer, ON_PATHS, row, column),
         in_tables(layer, ON_PATHS + 1, row, column));
+}
+
+// Weight of the fourth channel at a pixel.
+INLINE float share_at(const Layer layer, const int row, const int column)
+{
+    const float2 whole = in_tables(layer, ON_PATHS, row, column);
+    const float2 part = in_tables(layer, ON_PATHS + 1, row, column);
+    const int i = (int)whole.x, j = (int)whole.y;
+    const __global float* above = layer.shares + (size_t)i * layer.paths.y + j;
+    const __global float* below = above + (i + 1 < layer.paths.x ? layer.paths.y : 0);
+    const int right = j + 1 < layer.paths.y ? 1 : 0;
+    return mix(
+        mix(above[0], above[right], part.y), mix(below[0], below[right], part.y), part.x);
 }
 
 // The index inside 0 <= i < n that a place mirrors, which may be far outside.
@@ -331,7 +345,8 @@ INLINE float apart(
 INLINE float4 of_layer(const Layer layer, const int row, const int column)
 {
     const float4 here = at_pixel(layer, row, column);
-    if (here.z == 0.0f && layer.share == 0.0f)
+    const float share = share_at(layer, row, column);
+    if (here.z == 0.0f && share == 0.0f)
         return (float4)(0.0f);
     const float2 moved = (float2)(here.x, here.y);
     float4 color = color_at(layer, row, column, moved);
@@ -359,7 +374,7 @@ INLINE float4 of_layer(const Layer layer, const int row, const int column)
         }
         color = mix(color, mean, torn);
     }
-    return (float4)(here.z, here.z, here.z, layer.share) * color;
+    return (float4)(here.z, here.z, here.z, share) * color;
 }
 
 // Two layers, each times its weight, plus an image on a grid over the canvas.
@@ -371,11 +386,11 @@ __kernel void draw_layers(
     const int2 low_shape, const __global float4* restrict low,
     const int4 paths, const int4 fields, const int4 pictures, // height and width of both layers'
     const float4 step,                            // those of both layers
-    const float2 tearing, const float2 way, const float2 share,
+    const float2 tearing, const float2 way,
     const __global float4* restrict points_a, const __global float4* restrict change_a,
-    const __global float4* restrict coefficients_a,
+    const __global float4* restrict coefficients_a, const __global float* restrict shares_a,
     const __global float4* restrict points_b, const __global float4* restrict change_b,
-    const __global float4* restrict coefficients_b,
+    const __global float4* restrict coefficients_b, const __global float* restrict shares_b,
     __global float4* restrict frame)              // (rows of this launch, canvas width)
 {
     const int column = get_global_id(0);
@@ -396,13 +411,13 @@ __kernel void draw_layers(
         layer.points = second ? points_b : points_a;
         layer.change = second ? change_b : change_a;
         layer.coefficients = second ? coefficients_b : coefficients_a;
+        layer.shares = second ? shares_b : shares_a;
         layer.paths = second ? (int2)(paths.z, paths.w) : (int2)(paths.x, paths.y);
         layer.field = second ? (int2)(fields.z, fields.w) : (int2)(fields.x, fields.y);
         layer.picture = second ? (int2)(pictures.z, pictures.w) : (int2)(pictures.x, pictures.y);
         layer.step = second ? (float2)(step.z, step.w) : (float2)(step.x, step.y);
         layer.tearing = second ? tearing.y : tearing.x;
         layer.way = second ? way.y : way.x;
-        layer.share = second ? share.y : share.x;
         sum += of_layer(layer, row, column);
     }
     frame[(size_t)local_row * canvas.y + column] = sum;

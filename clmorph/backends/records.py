@@ -56,8 +56,8 @@ class LayerView(NamedTuple):
     to_picture: Affine
     #: Weight of the first three channels, on the grid of the paths: (h, w) array.
     weights: Float32
-    #: Weight of the fourth channel.
-    share: float
+    #: Weight of the fourth channel there: (h, w) array.
+    shares: Float32
 
 
 class Bins(NamedTuple):

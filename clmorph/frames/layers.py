@@ -51,6 +51,9 @@ ROUNDS = 40
 RIM = 2.0
 #: Points of the stage by which outlines that have met may differ.
 MET = 1.0
+#: Half of the width up to which a line is thin, as a share of the longer side: one of two thin
+#: lines that do not meet is seen, as their mean is no line.
+THIN = 1 / 64
 #: Half change of color at which both pictures hardly count as equal there.
 EQUAL = 0.2
 #: Width of the Gaussian that smooths an outline where both pictures count alike, twice: a share of
@@ -141,7 +144,7 @@ def view(
     canvas: Canvas,
     stage: Canvas,
     weights: Float32,
-    share: float,
+    shares: Float32,
 ) -> LayerView:
     """Return how a layer is drawn on a canvas; see `LayerView`."""
     to_field = affine(canvas, layer.field.canvas)
@@ -150,7 +153,7 @@ def view(
     picture, small = channels.level(halvings)
     return LayerView(
         picture, layer.handle, way, affine(canvas, stage), to_field,
-        affine(layer.field.canvas, small), weights, share,
+        affine(layer.field.canvas, small), weights, shares,
     )  # fmt: skip
 
 
@@ -239,22 +242,27 @@ class Pictures:
         shares: Sequence[float],
         weights: Sequence[Array],
         agreement: Array,
+        thin: Array,
         canvas: Canvas,
     ) -> Array:
         """Return a frame: (H, W, 3) array of sRGB, or (H, W, 4) with opacity.
 
         For each picture `layers` has its layer, `ways` the share of its way that it has gone,
         `shares` its share in the frame, and `weights`, (h, w), how much of it is seen at each place
-        of the stage; shares and weights have the sum 1. `agreement`, (h, w), is how far all
-        pictures agree there, from 0 to 1.
+        of the stage; shares and weights have the sum 1. `agreement` and `thin`, (h, w), are how far
+        all pictures agree there, and how far figures are but thin lines, from 0 to 1.
         """
+        even = [np.full(self.stage.shape, share) for share in shares]
 
         def drawn(
-            name: str, seen: Sequence[Array], on: Canvas, low: Array | None = None
+            name: str,
+            seen: Sequence[Array],
+            on: Canvas,
+            low: Array | None = None,
+            fourth: Sequence[Array] = even,
         ) -> Float32:
-            return self._drawn(name, layers, ways, shares, seen, on, low)
+            return self._drawn(name, layers, ways, seen, fourth, on, low)
 
-        even = [np.full(self.stage.shape, share) for share in shares]
         if self.figures is None:
             coarse = canvas.reduced(LOW_PIXELS)
             apart = drawn("own", [e - w for e, w in zip(even, weights, strict=True)], coarse)
@@ -262,7 +270,8 @@ class Pictures:
             low[..., 3] = 0.0
             return self._shown(drawn("own", weights, canvas, low)[..., :3])
         covered = self._where_covered(layers, ways, shares, weights, canvas)
-        figure = drawn("figure", covered, canvas).astype(float)
+        lines = [each + thin * (weight - each) for each, weight in zip(even, weights, strict=True)]
+        figure = drawn("figure", covered, canvas, fourth=lines).astype(float)
         area = float(np.dot(shares, self._areas))
         softness = float(np.dot(shares, [each.softness for each in self.figures]))
         most = np.inf if any(each.pure.all() for each in self.figures) else LEVEL
@@ -308,8 +317,8 @@ class Pictures:
         none = [np.zeros_like(weight) for weight in weights]
         short = []
         for number in range(len(layers)):
-            alone = [float(other == number) for other in range(len(layers))]
-            distance = self._drawn("figure", layers, ways, alone, none, coarse, None)[..., 3]
+            alone = [np.full_like(e, other == number) for other, e in enumerate(none)]
+            distance = self._drawn("figure", layers, ways, none, alone, coarse, None)[..., 3]
             short.append(np.minimum(distance * max(*coarse.scale, 1e-9), 0.0))
         nearest = np.max(short, axis=0)
         places = coarse.places(self.stage.positions())
@@ -335,20 +344,24 @@ class Pictures:
         name: str,
         layers: Sequence[Layer],
         ways: Sequence[float],
-        shares: Sequence[float],
         weights: Sequence[Array],
+        fourth: Sequence[Array],
         canvas: Canvas,
         low: Array | None,
     ) -> Float32:
-        """Return the weighted sum of all layers: (H, W, 4) array."""
+        """Return the sum of all layers, by weights of their colors and of their fourth channel."""
         views = [
-            view(layer, picture, way, canvas, self.stage, weight.astype(np.float32), share)
-            for layer, picture, way, share, weight in zip(
-                layers, self._channels[name], ways, shares, weights, strict=True
+            view(
+                layer, picture, way, canvas, self.stage,
+                weight.astype(np.float32), share.astype(np.float32),
             )
-        ]
+            for layer, picture, way, weight, share in zip(
+                layers, self._channels[name], ways, weights, fourth, strict=True
+            )
+        ]  # fmt: skip
         if len(views) % 2:
-            views.append(views[-1]._replace(weights=0 * views[-1].weights, share=0.0))
+            none = np.zeros_like(views[-1].weights)
+            views.append(views[-1]._replace(weights=none, shares=none))
         lows = [np.zeros((1, 1, 4)) if low is None else low] + [np.zeros((1, 1, 4))] * len(views)
         return reduce(
             np.add,
@@ -374,9 +387,9 @@ class Pictures:
 class Layers:
     """Both layers of a morph.
 
-    `fields` are how each picture moves to the other end. `stage` is the grid of two (h, w) arrays:
-    `agreement`, how far both pictures agree at t = 1/2, from 0 to 1, and `times`, when each place
-    changes hands (`clmorph.frames.switching`).
+    `fields` are how each picture moves to the other end. `stage` is the grid of three (h, w)
+    arrays: `agreement` and `thin`, how far both pictures agree and have but thin lines at t = 1/2,
+    from 0 to 1, and `times`, when each place changes hands (`clmorph.frames.switching`).
     """
 
     def __init__(
@@ -417,12 +430,13 @@ class Layers:
         self.agreement = scene.meet_details()
         self.fields = scene.fields
         halves = scene.halves()
-        shared = None
+        shared, self.thin = None, np.zeros(self.stage.shape)
         if figures is not None:
             # The ground is drawn by itself.
             first, second = (half.outline for half in halves)
             within = np.maximum(first, second)
             shared = np.clip((np.minimum(first, second) + RIM) / RIM, 0.0, 1.0)
+            self.thin = _thin(within)
             self.agreement = self.agreement * np.clip((within + 2 * RIM) / RIM, 0.0, 1.0)
             # Outlines that are apart are seen twice in a mixture.
             near = [np.clip(outline, -2 * RIM, 2 * RIM) for outline in (first, second)]
@@ -461,8 +475,9 @@ class Layers:
         """Return a frame: (H, W, 3) array of sRGB, or (H, W, 4) with opacity."""
         second = switched(self.times, self.agreement, t)
         return self._pictures.frame(
-            self._layers, (t, 1 - t), (1 - t, t), (1 - second, second), self.agreement, canvas
-        )
+            self._layers, (t, 1 - t), (1 - t, t), (1 - second, second), self.agreement, self.thin,
+            canvas,
+        )  # fmt: skip
 
 
 def follow(field: Field, stage: Canvas, operations: Operations) -> Float32:
@@ -477,6 +492,15 @@ def layer_of(field: Field, paths: Float32, operations: Operations) -> Layer:
     change = np.zeros((*field.canvas.shape, 4), np.float32)
     change[..., :3] = field.change
     return Layer(field, operations.upload_layer(paths, change))
+
+
+def _thin(distance: Array) -> Array:
+    """Return from 0 to 1 where figures have but thin lines, from their distance in points."""
+    from scipy.ndimage import maximum_filter
+
+    half = THIN * max(distance.shape)
+    widest = maximum_filter(distance, 2 * int(2 * half) + 1)
+    return blurred(np.clip(2.0 - widest / half, 0.0, 1.0), half)
 
 
 def _single(image: Array) -> Any:

@@ -58,21 +58,20 @@ class MixRenderer:
         """Draw a mixture by weights of sum 1: (H, W, 3) sRGB array, or (H, W, 4) with opacity."""
         stage = self._pictures.stage
         points = stage.positions()
-        times, agreement, total = np.zeros(stage.shape), np.zeros(stage.shape), 0.0
+        found, total = np.zeros((*stage.shape, 3)), 0.0
         for (i, j), pair in self._layers.items():
             weight = weights[i] * weights[j]
-            shown = np.dstack((pair.times, pair.agreement))
-            found = sampled(shown, pair.stage.places(points))
-            times += weight * found[..., 0]
-            agreement += weight * found[..., 1]
+            shown = np.dstack((pair.times, pair.agreement, pair.thin))
+            found += weight * sampled(shown, pair.stage.places(points))
             total += weight
-        times, agreement = (part / max(total, 1e-12) for part in (times, agreement))
+        times, agreement, thin = np.moveaxis(found / max(total, 1e-12), -1, 0)
         return self._pictures.frame(
             [self._layer(i, weights) for i in range(len(weights))],
             [1.0] * len(weights),
             weights,
             turns(times, agreement, weights),
             agreement,
+            thin,
             mixed_canvas(self._ends, weights),
         )
 

@@ -45,7 +45,7 @@ def still(picture, way=0.0, weight=1.0, share=1.0, moved=(0.0, 0.0)):
     paths[1:] = np.multiply.outer([0.5, 1.0], np.asarray(moved))[:, None, None]
     return LayerCase(
         coefficients(picture), paths, np.zeros((*shape, 4), np.float32), way, SAME, SAME, SAME,
-        np.full(shape, weight, np.float32), share,
+        np.full(shape, weight, np.float32), np.full(shape, share, np.float32),
     )  # fmt: skip
 
 
@@ -216,13 +216,13 @@ def test_weights_select_a_layer(each_device, rng):
     alone = drawn(each_device, still(one)), drawn(each_device, still(other))
     chosen = (rng.random((14, 80)) < 0.5).astype(np.float32)
     layers = (
-        still(one, share=0.0)._replace(weights=chosen),
-        still(other)._replace(weights=1 - chosen),
+        still(one)._replace(weights=chosen, shares=1 - chosen),
+        still(other)._replace(weights=1 - chosen, shares=chosen),
     )
     found = Scene(layers, low, (14, 80)).draw(each_device)
     colors = np.where(chosen[..., None] == 1, alone[0], alone[1])[..., :3]
     assert np.array_equal(found[..., :3], colors)
-    assert np.array_equal(found[..., 3], alone[1][..., 3])
+    assert np.array_equal(found[..., 3], np.where(chosen == 1, alone[1][..., 3], alone[0][..., 3]))
 
 
 def test_canvas_and_picture_of_other_sizes(any_backend_operations, rng):
@@ -231,7 +231,7 @@ def test_canvas_and_picture_of_other_sizes(any_backend_operations, rng):
     layer = LayerCase(
         coefficients(picture), np.zeros((2, 1, 1, 2), np.float32), np.zeros((1, 1, 4), np.float32),
         0.3, Affine((0.0, 0.0), (1.0, 1.0)), Affine((0.1, 0.3), (0.01, 0.7 / 96)),
-        Affine((0.3, 0.4), (1.0, 4000.0)), np.ones((1, 1), np.float32), 1.0,
+        Affine((0.3, 0.4), (1.0, 4000.0)), *2 * [np.ones((1, 1), np.float32)],
     )  # fmt: skip
     found = Scene(
         (layer, absent((1, 1))), np.zeros((1, 1, 4), np.float32), (5, 96)
@@ -287,7 +287,7 @@ def test_tears_around_a_point_of_the_paths(each_device, rng, canvas, moved):
     paths[1, 7, 14, 0] = moved / 6
     layer = LayerCase(
         coefficients(rng.random((48, 75, 4))), paths, np.zeros((*grid, 4), np.float32), 1.0,
-        to_grid, to_grid, to_picture, np.ones(grid, np.float32), 1.0,
+        to_grid, to_grid, to_picture, *2 * [np.ones(grid, np.float32)],
     )  # fmt: skip
     scene = Scene((layer, absent(grid)), np.zeros((1, 1, 4), np.float32), canvas)
     got, want = (scene.draw(backend) for backend in (each_device, REFERENCE))

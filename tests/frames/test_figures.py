@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from drawn_pictures import compressed, logo, sprite
+from PIL import Image, ImageDraw
 from scipy.ndimage import binary_erosion, gaussian_filter, label
 
 import clmorph
@@ -94,6 +95,52 @@ class TestLogos:
         darkest = frame.min(axis=2)
         inside = binary_erosion(darkest < 0.9, iterations=2)
         assert np.ptp(frame[inside], axis=0).max() < 0.06
+
+    def test_what_continues_a_figure_hides_no_other_one(self, device):
+        """The dark rim of a face does not spread over the meadow that grows below it."""
+        y, x = np.mgrid[:96, :96] / 96 - 0.5
+        face, house = np.ones((2, 96, 96, 3))
+        face[np.hypot(y, 1.3 * x) < 0.30] = 0
+        face[np.hypot(y, 1.3 * x) < 0.28] = 1, 0.85, 0.6
+        house[60:] = 0.45, 0.7, 0.35
+        house[30:67, 30:67] = 0.9, 0.8, 0.6
+        morph = clmorph.morph(face, house, backend=device, preset="logo", landmarks=None)
+        dark = [np.mean(morph.frame(t).max(axis=2) < 0.25) for t in (0.0, 0.25, 0.5, 0.75)]
+        assert max(dark) < 1.2 * dark[0]
+
+    def test_thin_lines_stay_lines(self, device):
+        """Two thin lines that do not meet have no mean: each place shows one of them, whole."""
+        images = [Image.new("L", (512, 512), 255) for _ in range(2)]
+        man, tree = map(ImageDraw.Draw, images)
+        line = {"fill": 40, "width": 8}
+        man.ellipse([200, 60, 312, 172], outline=40, width=8)
+        tips = (
+            (256, 200, 160, 280),
+            (256, 200, 352, 280),
+            (256, 320, 190, 460),
+            (256, 320, 322, 460),
+        )
+        for each in ((256, 172, 256, 320), *tips):
+            man.line(each, **line)
+        for each in ((240, 460, 240, 260), (272, 460, 272, 260)):
+            tree.line(each, **line)
+        arcs = (
+            ([120, 80, 280, 240], 90, 330),
+            ([220, 40, 400, 220], 200, 70),
+            ([160, 160, 380, 300], 0, 180),
+        )
+        for box, first, last in arcs:
+            tree.arc(box, first, last, **line)
+        pair = [
+            np.dstack([np.asarray(i.resize((128, 128), Image.Resampling.BOX)) / 255] * 3)
+            for i in images
+        ]
+        morph = clmorph.morph(*pair, backend=device, preset="logo", landmarks=None)
+        parts = [
+            label(morph.frame(t)[..., 0] < 0.6, np.ones((3, 3)))[1]
+            for t in (0.25, 0.375, 0.5, 0.625, 0.75)
+        ]
+        assert sum(parts) < 24  # means of both lines fall into 31
 
     def test_nothing_comes_from_beyond_a_border(self, device):
         """A figure near the border is not mirrored there when its canvas grows."""

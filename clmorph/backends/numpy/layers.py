@@ -91,9 +91,9 @@ def draw_layers(views: Sequence[LayerView], low: Float32, shape: tuple[int, int]
     """Draw two layers over one another; see `clmorph.backends.interface.Operations`."""
     found = enlarged(low.astype(float), shape)
     for view in views:
-        weights = np.repeat(linear(view.weights[..., None], view.to_paths.places(shape)), 4, 2)
-        weights[..., 3] = view.share
-        found += weights * _drawn(view, shape)
+        both = np.stack((view.weights, view.shares), axis=-1)
+        weights = linear(both, view.to_paths.places(shape))
+        found += weights[..., [0, 0, 0, 1]] * _drawn(view, shape)
     return found.astype(np.float32)
 
 

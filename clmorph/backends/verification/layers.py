@@ -139,7 +139,7 @@ class LayerCase(NamedTuple):
     to_field: Affine
     to_picture: Affine
     weights: Float32
-    share: float
+    shares: Float32
 
     def view(self, operations: Operations) -> LayerView:
         """Return the layer as a backend draws it."""
@@ -157,7 +157,7 @@ class LayerCase(NamedTuple):
         """
         color, changed, moved, weight = (
             float(np.abs(x).max())
-            for x in (self.coefficients, self.change, self.paths, self.weights)
+            for x in (self.coefficients, self.change, self.paths, (self.weights, self.shares))
         )
         step = max(map(abs, self.to_picture.step))
         units = [abs(a * b) for a, b in zip(self.to_field.step, self.to_picture.step, strict=True)]
@@ -165,7 +165,7 @@ class LayerCase(NamedTuple):
         in_color = color * (40 * step * moved + 80) + changed * (48 * moved + 48)
         in_torn = 16 + (24 * step * moved + 4 * max(units) + 4) / (TEAR * max(*units, 1e-6))
         total = in_color + 2 * (color + changed) * in_torn
-        return max(weight, abs(self.share)) * UNIT * total
+        return weight * UNIT * total
 
 
 class Scene(NamedTuple):
@@ -209,7 +209,8 @@ def scenes(shape: tuple[int, int]) -> dict[str, Scene]:
         return LayerCase(
             normal[0].astype(np.float32), (times * motion * normal[1]).astype(np.float32),
             normal[2].astype(np.float32), way, over(grid, shape), over(field, shape),
-            over(picture, field), rng.random(grid).astype(np.float32), share,
+            over(picture, field), rng.random(grid).astype(np.float32),
+            (share * rng.integers(0, 3, grid)).astype(np.float32),
         )  # fmt: skip
 
     def moved(case: LayerCase, origin: float, step: float) -> LayerCase:

@@ -159,13 +159,15 @@ class Layers:
             both("float4", [view.to_picture.step for view in views]),
             both("float2", [1.0 / (TEAR * _unit(view)) for view in views]),
             both("float2", [view.way for view in views]),
-            both("float2", [view.share for view in views]),
         )  # fmt: skip
         buffers = [
             buffer
             for view, points in zip(views, placed, strict=True)
-            for buffer in (points, view.layer.change, view.picture.coefficients)
-        ]
+            for buffer in (
+                points, view.layer.change, view.picture.coefficients,
+                self._work.buffer(view.shares),
+            )
+        ]  # fmt: skip
         frame = np.empty((*shape, 4), np.float32)
         # Where all pixels are torn, a launch takes as long as the budget allows.
         for first, count, _ in _rows(self._of_pixels, shape[0], shape[1], TORN_PIXELS):
