@@ -16,7 +16,8 @@ from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.ends import End
 from clmorph.frames.fields import Field, sampled
 from clmorph.frames.figures import figures_of
-from clmorph.frames.layers import Layer, Layers, Pictures, follow, layer_of
+from clmorph.frames.layers import Layers, follow, layer_of
+from clmorph.frames.pictures import Layer, Pictures
 from clmorph.frames.switching import turns
 from clmorph.measures.measure import Measure
 

@@ -8,7 +8,7 @@ from scipy.ndimage import binary_erosion, gaussian_filter, label
 
 import clmorph
 from clmorph import InputError, MorphOptions
-from clmorph.frames import layers, sprites
+from clmorph.frames import pictures, sprites
 
 TIMES = (0.0, 0.02, 0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9, 0.98, 1.0)
 SMALL = {"solve_size": 32, "n_frames": 3}
@@ -253,12 +253,12 @@ class TestThreshold:
         crisp = sprites._inside(distance, area)
         assert crisp.mean() == pytest.approx(area, abs=0.5 / distance.size)
         assert set(np.unique(crisp)) <= {0.0, 1.0}
-        level, soft = layers._inside(distance, area, np.full(distance.shape, 0.02), np.inf)
+        level, soft = pictures._inside(distance, area, np.full(distance.shape, 0.02), np.inf)
         assert np.array_equal(soft == 1, distance - level >= 0.01) or area == 1
         assert soft.mean() == pytest.approx(area, abs=1e-6)
         assert 0 <= soft.min() <= soft.max() <= 1
         # Outlines move by no more than the largest level.
-        _, bounded = layers._inside(distance, area, np.full(distance.shape, 1e-6), 0.01)
+        _, bounded = pictures._inside(distance, area, np.full(distance.shape, 1e-6), 0.01)
         assert np.all(bounded[distance > 0.011] == 1)
         assert area == 1 or np.all(bounded[distance < -0.011] == 0)
 
@@ -268,8 +268,8 @@ class TestThreshold:
             for area in (0.01, 0.5, 1.0):
                 for found in (
                     sprites._inside(values.astype(float), area),
-                    layers._inside(values.astype(float), area, np.ones(shape), np.inf)[1],
-                    layers._inside(values.astype(float), area, np.ones(shape), 0.06)[1],
+                    pictures._inside(values.astype(float), area, np.ones(shape), np.inf)[1],
+                    pictures._inside(values.astype(float), area, np.ones(shape), 0.06)[1],
                 ):
                     assert found.shape == shape
                     assert np.all(np.isfinite(found))

@@ -14,8 +14,8 @@ from clmorph.analysis.metrics import flicker, ghost
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.fields import affine, field_of
-from clmorph.frames.layers import stage_of
 from clmorph.frames.particles import Particles
+from clmorph.frames.pictures import stage_of
 from clmorph.frames.switching import switched, switching_times, turns
 
 TIMES = (0.0, 0.25, 0.5, 0.8, 1.0)

@@ -1,0 +1,392 @@
+"""The pictures of a film or of mixes, and how a frame is put together from their layers.
+
+Only the lowest band of photographs is drawn partly towards the mean of both. Before a flat or
+transparent ground the figures alone move. Their outline at time t is a level of the mean of both
+layers' signed distances, (1 - t) of the one and t of the other; the level is that at which the
+figure's area goes linearly from the one to the other (`figures`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from functools import lru_cache, reduce
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import Operations
+from clmorph.backends.records import LayerView
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.ends import End
+from clmorph.frames.fields import POINTS, Field, affine, blurred, sampled, slopes
+from clmorph.frames.figures import Figure, beyond
+from clmorph.frames.resampling import reduced
+from clmorph.images.color import from_space, to_space
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+#: How far the lowest band is drawn towards the mean of both layers; its width as a share of the
+#: longer side, and the pixels along that side by which it is computed.
+MEAN_SHARE, LOW, LOW_PIXELS = 0.3, 1 / 16, 64
+#: A layer is sampled from a copy with half the pixels where a frame has a pixel for so many.
+CLOSE = 1.5
+#: The largest level of distance, in the common frame, that keeps a figure's area.
+LEVEL = 0.06
+ROUNDS = 40
+#: Points of the stage by which outlines that have met may differ.
+MET = 1.0
+#: Width of the Gaussian that smooths an outline where both pictures count alike, twice: a share of
+#: the longer side, and at least some pixels.
+OUTLINE, NARROWEST = 0.006, 1.2
+#: Width, as a share of the longer side, over which pictures with a ground are continued beyond
+#: their borders. Others are mirrored there.
+MARGIN = 1 / 8
+#: By how much the mean of two distances, halfway, may be made steeper.
+STEEPER = 1.5
+#: Pixels along the longer side by which figures are compared, and over how many of them a layer
+#: stops being seen beyond its own figure.
+COVER_PIXELS, COVER = 128, 3.0
+#: Agreement below this is none.
+FAINT = 0.01
+
+
+class Layer(NamedTuple):
+    """What moves one picture; the handle is that of `Operations.upload_layer`."""
+
+    field: Field
+    handle: Any
+
+
+class Channels:
+    """A picture of three or four channels, (H, W, C), ready to be sampled at any scale."""
+
+    def __init__(self, image: Array, canvas: Canvas, operations: Operations) -> None:
+        self._image, self.canvas, self._operations = image, canvas, operations
+        self.level = lru_cache(maxsize=None)(self._level)
+
+    def on(self, operations: Operations) -> Channels:
+        """Return the same picture for another device."""
+        return Channels(self._image, self.canvas, operations)
+
+    def _level(self, halvings: int) -> tuple[Any, Canvas]:
+        """Return the picture with fewer pixels, and these."""
+        from scipy.ndimage import spline_filter
+
+        longest = max(self.canvas.shape)
+        canvas = self.canvas.reduced(max(1, round(longest / 2**halvings)))
+        image = reduced(self._image, canvas.shape)
+        spline = np.zeros((*canvas.shape, 4), np.float32)
+        for channel in range(image.shape[2]):
+            spline[..., channel] = spline_filter(
+                image[..., channel], order=3, mode="mirror", output=np.float32
+            )
+        return self._operations.upload_spline(spline), canvas
+
+
+def stage_of(canvases: Sequence[Canvas]) -> Canvas:
+    """Return a grid over everything that some canvases show."""
+    extents = np.array(
+        [
+            [
+                side / scale if scale > 0 else 1.0
+                for side, scale in zip(c.shape, c.scale[::-1], strict=True)
+            ]
+            for c in canvases
+        ]
+    ).max(axis=0)
+    longest = max(max(canvas.shape) for canvas in canvases)
+    per_unit = min(POINTS, longest) / float(extents.max())
+    height, width = (max(1, round(extent * per_unit)) for extent in extents)
+    return Canvas((height, width), (per_unit, per_unit))
+
+
+def _channels(
+    image: Array, canvas: Canvas, operations: Operations, *, beyond_border: bool
+) -> Channels:
+    """Return a picture ready to be sampled, if asked continued by a margin as its border is."""
+    margin = round(MARGIN * max(canvas.shape)) if beyond_border else 0
+    height, width = (side + 2 * margin for side in canvas.shape)
+    widths = ((margin, margin), (margin, margin), (0, 0))
+    larger = np.pad(image, widths, mode="edge") if margin else image
+    return Channels(larger, Canvas((height, width), canvas.scale), operations)
+
+
+def lightness_of(space: str) -> Array:
+    """Return the weights of a color's coordinates in its lightness."""
+    return np.array([0.3, 0.59, 0.11] if space in ("srgb", "linear") else [1.0, 0.0, 0.0])
+
+
+def view(
+    layer: Layer,
+    channels: Channels,
+    way: float,
+    canvas: Canvas,
+    stage: Canvas,
+    weights: Float32,
+    shares: Float32,
+) -> LayerView:
+    """Return how a layer is drawn on a canvas; see `LayerView`."""
+    to_field = affine(canvas, layer.field.canvas)
+    step = max(abs(each) for each in affine(canvas, channels.canvas).step)
+    halvings = int(max(0.0, np.ceil(np.log2(max(step, 1e-9) / CLOSE))))
+    picture, small = channels.level(halvings)
+    return LayerView(
+        picture, layer.handle, way, affine(canvas, stage), to_field,
+        affine(layer.field.canvas, small), weights, shares,
+    )  # fmt: skip
+
+
+class Pictures:
+    """The pictures of a film or of mixes: what layers sample, and how a frame is put together.
+
+    `figures` stand before their grounds; None if all pixels belong to the pictures. `space` is that
+    of the path.
+    """
+
+    def __init__(
+        self,
+        ends: Sequence[End],
+        canvases: Sequence[Canvas],
+        figures: Sequence[Figure] | None,
+        space: str,
+        operations: Operations,
+    ) -> None:
+        self._space, self._operations, self.canvases = space, operations, list(canvases)
+        self.figures = figures
+        self._areas = [figure.area for figure in figures or ()]
+        #: How far outlines on the way are smoothed, from 0 to 1: not at all where they coincide.
+        self.smoothing = 1.0
+        #: Whether frames have opacity.
+        self.clear = any(end.alpha is not None for end in ends)
+        self.stage = stage_of(canvases)
+        #: The pictures, those whose figures are continued, and those that are sampled by name.
+        self.own = [_single(to_space(end.colors, space)) for end in ends]
+        self.continued = self.own
+        images: dict[str, list[Any]] = {"own": self.own}
+        if figures is not None:
+            self.continued = [
+                _single(to_space(beyond(end.colors, figure.pure), space))
+                for end, figure in zip(ends, figures, strict=True)
+            ]
+            images["figure"] = [
+                np.dstack((colors, figure.distance / max(*canvas.scale, 1e-9)))
+                for colors, figure, canvas in zip(self.continued, figures, canvases, strict=True)
+            ]
+        if figures is not None and self.clear:
+            opacities = [np.ones(end.shape) if end.alpha is None else end.alpha for end in ends]
+            # Transparent pixels have the colors of the figure beside them.
+            self.own = [
+                np.where(alpha[..., None] > 0, own, continued)
+                for alpha, own, continued in zip(opacities, self.own, self.continued, strict=True)
+            ]
+            images["own"] = [
+                np.dstack((own, alpha)) for own, alpha in zip(self.own, opacities, strict=True)
+            ]
+            if any(figure.translucent for figure in figures):
+                images["alpha"] = [
+                    np.dstack((np.zeros((*figure.alpha.shape, 3)), figure.alpha))
+                    for figure in figures
+                ]
+        self._channels = {
+            name: [
+                _channels(image, canvas, operations, beyond_border=figures is not None)
+                for image, canvas in zip(same, canvases, strict=True)
+            ]
+            for name, same in images.items()
+        }
+
+    def on(self, operations: Operations) -> Pictures:
+        """Return the same pictures for another device."""
+        other = copy(self)
+        other._operations = operations
+        other._channels = {
+            name: [each.on(operations) for each in channels]
+            for name, channels in self._channels.items()
+        }
+        return other
+
+    def outlines(self, shapes: Sequence[tuple[int, int]]) -> list[Array] | None:
+        """Return the signed distances from the figures' outlines, in the common frame."""
+        if self.figures is None:
+            return None
+        return [
+            reduced(figure.distance[..., None], shape)[..., 0] / max(*canvas.scale, 1e-9)
+            for figure, canvas, shape in zip(self.figures, self.canvases, shapes, strict=True)
+        ]
+
+    def frame(
+        self,
+        layers: Sequence[Layer],
+        ways: Sequence[float],
+        shares: Sequence[float],
+        weights: Sequence[Array],
+        agreement: Array,
+        thin: Array,
+        canvas: Canvas,
+    ) -> Array:
+        """Return a frame: (H, W, 3) array of sRGB, or (H, W, 4) with opacity.
+
+        For each picture `layers` has its layer, `ways` the share of its way that it has gone,
+        `shares` its share in the frame, and `weights`, (h, w), how much of it is seen at each place
+        of the stage; shares and weights have the sum 1. `agreement` and `thin`, (h, w), are how far
+        all pictures agree there, and how far figures are but thin lines, from 0 to 1.
+        """
+        even = [np.full(self.stage.shape, share) for share in shares]
+
+        def drawn(
+            name: str,
+            seen: Sequence[Array],
+            on: Canvas,
+            low: Array | None = None,
+            fourth: Sequence[Array] = even,
+        ) -> Float32:
+            return self._drawn(name, layers, ways, seen, fourth, on, low)
+
+        if self.figures is None:
+            coarse = canvas.reduced(LOW_PIXELS)
+            apart = drawn("own", [e - w for e, w in zip(even, weights, strict=True)], coarse)
+            low = MEAN_SHARE * blurred(apart.astype(float), LOW * max(coarse.shape))
+            low[..., 3] = 0.0
+            return self._shown(drawn("own", weights, canvas, low)[..., :3])
+        covered = self._where_covered(layers, ways, shares, weights, canvas)
+        lines = [each + thin * (weight - each) for each, weight in zip(even, weights, strict=True)]
+        figure = drawn("figure", covered, canvas, fourth=lines).astype(float)
+        area = float(np.dot(shares, self._areas))
+        softness = float(np.dot(shares, [each.softness for each in self.figures]))
+        most = np.inf if any(each.pure.all() for each in self.figures) else LEVEL
+        unit = max(*canvas.scale, 1e-9)
+        # Outlines of both layers that nearly meet are drawn as one smooth line, ends as they are.
+        width = max(NARROWEST, OUTLINE * max(canvas.shape)) * (1.0 - float(max(shares)))
+        width *= self.smoothing
+        distance = blurred(figure[..., 3], width)
+        # Where both layers differ, the mean has slopes unlike 1, with which its edge would be soft.
+        slope = np.hypot(*slopes(distance * unit))
+        least = 1.0 - STEEPER * (1.0 - float(max(shares))) * self.smoothing
+        edge = softness / unit * np.clip(slope, least, 1.0)
+        level, opaque = _inside(distance, area, edge, most)
+        opaque = opaque[..., None]
+        if "alpha" in self._channels:
+            opaque = opaque * np.clip(drawn("alpha", weights, canvas)[..., 3:], 0, 1)
+        ground, alpha = self._ground(shares)
+        whole = opaque + (1 - opaque) * alpha
+        colors = opaque * figure[..., :3] + (1 - opaque) * alpha * ground
+        colors = colors / np.maximum(whole, 1e-6)
+        if agreement.max() > FAINT:
+            # What agrees is a warp of both pictures, with the edges that they have.
+            own = drawn("own", even, canvas)
+            seen = sampled(agreement[..., None], self.stage.places(canvas.positions()))
+            # Where the area asks for another outline, the pictures' own ones would be halos.
+            seen = seen * np.exp(-((level * unit / MET) ** 2))
+            colors = colors + seen * (own[..., :3] - colors)
+            if self.clear:
+                whole = whole + seen * (own[..., 3:] - whole)
+        frame = self._shown(colors)
+        return np.dstack((frame, np.clip(whole, 0.0, 1.0))) if self.clear else frame
+
+    def _where_covered(
+        self,
+        layers: Sequence[Layer],
+        ways: Sequence[float],
+        shares: Sequence[float],
+        weights: Sequence[Array],
+        canvas: Canvas,
+    ) -> list[Array]:
+        """Return weights by which no layer is seen beyond its own figure where another has one."""
+        coarse = canvas.reduced(COVER_PIXELS)
+        none = [np.zeros_like(weight) for weight in weights]
+        short = []
+        for number in range(len(layers)):
+            alone = [np.full_like(e, other == number) for other, e in enumerate(none)]
+            distance = self._drawn("figure", layers, ways, none, alone, coarse, None)[..., 3]
+            short.append(np.minimum(distance * max(*coarse.scale, 1e-9), 0.0))
+        nearest = np.max(short, axis=0)
+        places = coarse.places(self.stage.positions())
+        covers = [
+            sampled(np.clip(1 + (each - nearest) / COVER, 0, 1)[..., None], places)[..., 0]
+            for each in short
+        ]
+        # What a layer does not show goes to those that have a figure there.
+        left = 1.0 - sum(w * cover for w, cover in zip(weights, covers, strict=True))
+        parts = [share * cover for share, cover in zip(shares, covers, strict=True)]
+        total = np.maximum(sum(parts), np.finfo(float).tiny)
+        return [
+            weight * cover + left * part / total
+            for weight, cover, part in zip(weights, covers, parts, strict=True)
+        ]
+
+    def _shown(self, colors: NDArray[np.floating]) -> Array:
+        """Return colors of the path as sRGB."""
+        return np.clip(from_space(colors, self._space), 0.0, 1.0)
+
+    def _drawn(
+        self,
+        name: str,
+        layers: Sequence[Layer],
+        ways: Sequence[float],
+        weights: Sequence[Array],
+        fourth: Sequence[Array],
+        canvas: Canvas,
+        low: Array | None,
+    ) -> Float32:
+        """Return the sum of all layers, by weights of their colors and of their fourth channel."""
+        views = [
+            view(
+                layer, picture, way, canvas, self.stage,
+                weight.astype(np.float32), share.astype(np.float32),
+            )
+            for layer, picture, way, weight, share in zip(
+                layers, self._channels[name], ways, weights, fourth, strict=True
+            )
+        ]  # fmt: skip
+        if len(views) % 2:
+            none = np.zeros_like(views[-1].weights)
+            views.append(views[-1]._replace(weights=none, shares=none))
+        lows = [np.zeros((1, 1, 4)) if low is None else low] + [np.zeros((1, 1, 4))] * len(views)
+        return reduce(
+            np.add,
+            (
+                self._operations.draw_layers(
+                    views[first : first + 2], lows[first].astype(np.float32), canvas.shape
+                )
+                for first in range(0, len(views), 2)
+            ),
+        )
+
+    def _ground(self, shares: Sequence[float]) -> tuple[Array, float]:
+        """Return color, in the space of the path, and opacity of the ground of a frame."""
+        assert self.figures is not None
+        parts = np.array(shares) * [figure.ground_alpha for figure in self.figures]
+        alpha = float(parts.sum())
+        if alpha == 0:
+            return np.zeros(3), 0.0
+        colors = to_space(np.array([figure.ground for figure in self.figures]), self._space)
+        return parts @ colors / alpha, alpha
+
+
+def _single(image: Array) -> Any:
+    """Return an image in float32: large pictures are held for as long as the film is."""
+    return image.astype(np.float32)
+
+
+def _inside(
+    distance: Array, area: float, softness: Array, most: float
+) -> tuple[float, NDArray[np.floating]]:
+    """Return the level of distance that is the outline of a figure of an area.
+
+    The array is how far each pixel lies inside, from 0 to 1, over a `softness` at each of them.
+    """
+    if area >= 1 - 0.5 / distance.size:
+        return 0.0, np.ones(distance.shape)
+    far = float(softness.max())
+    low, high = float(distance.min()) - far, float(distance.max()) + far
+    low, high = max(low, -most), min(high, most)
+    if low > high:
+        low = high = float(np.clip(0.0, high, low))
+    for _ in range(ROUNDS):
+        level = 0.5 * (low + high)
+        found = np.clip(0.5 + (distance - level) / softness, 0.0, 1.0)
+        low, high = (level, high) if found.mean() > area else (low, level)
+    return level, np.asarray(found)
