@@ -65,6 +65,7 @@ STAND_IN double fmin(double a, double b) { return __builtin_fmin(a, b); }
 STAND_IN float dot(float2 a, float2 b) { return a.x * b.x + a.y * b.y; }
 STAND_IN float2 mix(float2 a, float2 b, float t) { return a + (b - a) * t; }
 STAND_IN float4 mix(float4 a, float4 b, float t) { return a + (b - a) * t; }
+STAND_IN float mix(float a, float b, float t) { return a + (b - a) * t; }
 STAND_IN float select(float a, float b, int c) { return c ? b : a; }
 STAND_IN int select(int a, int b, int c) { return c ? b : a; }
 STAND_IN float4 vload4(size_t place, const __global float* from)
