@@ -8,7 +8,6 @@ product, 1 for the maximum, 11 for the exponential, 1 sum.
 """
 
 import argparse
-import time
 import warnings
 from dataclasses import replace
 
@@ -17,6 +16,7 @@ import pyopencl as cl
 
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.backends.opencl.devices.throughput import seconds_of
 
 SLOTS_PER_PAIR = 18
 
@@ -39,12 +39,9 @@ __kernel void peak(const int n, __global float* out)
 """
 
 
-def best_and_median(action, repeats: int) -> tuple[float, float]:
-    seconds = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        action()
-        seconds.append(time.perf_counter() - began)
+def best_and_median(action, repeats: int, operations=None) -> tuple[float, float]:
+    """Seconds of kernels by the device's own clock, or all of them if no operations are given."""
+    seconds = [seconds_of(operations, action) for _ in range(repeats)]
     return min(seconds), float(np.median(seconds))
 
 
@@ -72,7 +69,7 @@ def slowdowns(operations: OpenCLOperations, n: int, repeats: int) -> str:
     told = []
     for precise in (2, 1) if operations.has_float64 else (1,):
         constants = replace(operations.constants, precise=precise)
-        wider = OpenCLOperations(operations.device, constants)
+        wider = OpenCLOperations(operations.device, constants, profiled=True)
         cloud = wider.upload(np.random.default_rng(0).random((n, 5)), np.full(n, 1 / n))
         arguments = cloud, cloud, np.zeros(n), 0.0025
         kinds = (
@@ -82,7 +79,7 @@ def slowdowns(operations: OpenCLOperations, n: int, repeats: int) -> str:
         )
         for kind in kinds:
             kind()
-        plain, *others = (best_and_median(kind, repeats)[0] for kind in kinds)
+        plain, *others = (best_and_median(kind, repeats, wider)[0] for kind in kinds)
         told.append(" / ".join(f"{other / plain:.1f}" for other in others))
     return "; ".join(told)
 
@@ -97,13 +94,14 @@ def main() -> None:
     n, k = options.points, options.particles
     print(
         f"| device | log-sum-exp {n}², 10⁹ pairs/s: median (best) | share of peak | "
-        f"times as long, precise / with a bound: float64; pairs | {k} splats, σ 1.4, 64×64: ms |"
+        f"times as long, precise / with a bound: float64; pairs | {k} splats, σ 1.4, 64×64: ms | "
+        "host beside a log-sum-exp, ms | longest launch, ms |"
     )
-    print("|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|")
     for device in find_devices():
         if not device.usable:
             continue
-        operations = OpenCLOperations(device.handle)
+        operations = OpenCLOperations(device.handle, profiled=True)
         cloud = operations.upload(rng.random((n, 5)), np.full(n, 1 / n))
         potential = 0.01 * rng.random(n)
         splats = operations.upload_splats(
@@ -121,13 +119,16 @@ def main() -> None:
         for warm_up in (reduce, gather):
             warm_up()
             warm_up()
-        best, median = best_and_median(reduce, options.repeats)
-        _, splatting = best_and_median(gather, options.repeats)
+        best, median = best_and_median(reduce, options.repeats, operations)
+        _, splatting = best_and_median(gather, options.repeats, operations)
+        _, whole = best_and_median(reduce, options.repeats)
+        longest, name = operations.work.longest_launch
         share = n * n * SLOTS_PER_PAIR / best / multiply_add_peak(operations)
         print(
             f"| {device.name}, {device.platform} {device.driver} | {n * n / median / 1e9:.1f} "
             f"({n * n / best / 1e9:.1f}) | {100 * share:.0f} % | "
-            f"{slowdowns(operations, n, options.repeats)} | {1e3 * splatting:.0f} |"
+            f"{slowdowns(operations, n, options.repeats)} | {1e3 * splatting:.0f} | "
+            f"{1e3 * (whole - median):.1f} | {name}, {1e3 * longest:.1f} |"
         )
 
 

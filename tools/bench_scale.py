@@ -37,6 +37,7 @@ from benching import (
 
 import clmorph
 from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.devices.find import choose_device
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.transport.plan import Plan
 
@@ -59,7 +60,6 @@ class Counter:
 
     def __init__(self, operations: OpenCLOperations) -> None:
         self.pairs, self.most_bytes = 0, 0
-        self.launches: list[tuple[float, str]] = []
         work = operations.work
         measure, launch = LaunchBudget.measure, work.launch
 
@@ -70,9 +70,7 @@ class Counter:
                 yield
 
         def timed(*arguments: Any, **options: Any) -> None:
-            began = time.perf_counter()
             launch(*arguments, **options)
-            self.launches.append((time.perf_counter() - began, arguments[0].function_name))
             held = CountedBuffer.now + work._pool.managed_bytes
             self.most_bytes = max(self.most_bytes, held)
 
@@ -83,8 +81,7 @@ class Counter:
 def morph(device: str, setting: str, shape: tuple[int, int]) -> None:
     """Morph once and print what it took, as JSON."""
     cl.Buffer = CountedBuffer  # type: ignore[misc]
-    operations = clmorph.get_backend(device)
-    assert isinstance(operations, OpenCLOperations)
+    operations = OpenCLOperations(choose_device(device).handle, profiled=True)
     blur, color_weight = SETTINGS[setting]
     length = float(blur) / max(shape) if isinstance(blur, str) else blur
     small = [clmorph.lift(image, color_weight) for image in photographs((40, 40))]
@@ -96,10 +93,11 @@ def morph(device: str, setting: str, shape: tuple[int, int]) -> None:
     images = photographs(shape)
     counter = Counter(operations)
     before = begin_memory()
-    marks: dict[str, tuple[float, int]] = {}
+    marks: dict[str, tuple[float, int, float]] = {}
 
     def mark(stage: str, share: float) -> None:
-        marks.setdefault(f"{stage} {share:g}", (time.perf_counter(), counter.pairs))
+        now = time.perf_counter(), counter.pairs, operations.work.device_seconds
+        marks.setdefault(f"{stage} {share:g}", now)
 
     warnings.simplefilter("ignore", clmorph.MemoryWarning)  # the table tells
     result = clmorph.morph(
@@ -112,7 +110,7 @@ def morph(device: str, setting: str, shape: tuple[int, int]) -> None:
     result.frame(0.5)
     frame = time.perf_counter() - frame
     found, n = result.potentials, len(result.source)
-    (begun, _), (solved, pairs), (planned, _) = (
+    (begun, _, before_all), (solved, pairs, in_kernels), (planned, *_) = (
         marks[name] for name in ("transport 0", "plan 0", "plan 1")
     )
     kind = kind_of(result) if isinstance(result.plan, Plan) else "means"
@@ -120,7 +118,8 @@ def morph(device: str, setting: str, shape: tuple[int, int]) -> None:
         "points": n, "seconds": solved - begun,
         "iterations": found.n_iter, "residual": found.residual, "status": found.status,
         "visited": found.visited, "truncation_error": found.truncation_error,
-        "work": pairs / n**2, "longest": max(counter.launches),
+        "work": pairs / n**2, "longest": operations.work.longest_launch,
+        "kernels": in_kernels - before_all,
         "host": resident_bytes("VmHWM") - before, "device": counter.most_bytes,
         "plan": f"{len(result.plan) / 1e6:.2g} M {kind}",
         "planned": planned - solved, "frame": frame,
@@ -198,7 +197,8 @@ def main() -> int:
                 print(line(f"{side} x {side}", *cells, f"{record['host'] / 1e6:.0f}"), flush=True)
         return 0
     print_head(
-        "blur", "points", "solve, s", "iterations", "residual, eps", "pairs", "work, N M",
+        "blur", "points", "solve, s", "kernels, s", "iterations", "residual, eps", "pairs",
+        "work, N M",
         "truncation error", "plan", "plan, s", "frame, s", "host, MB", "device, MB",
         "longest launch, ms",
     )  # fmt: skip
@@ -212,7 +212,8 @@ def main() -> int:
                 continue
             records.append(record)
             cells = [
-                setting, record["points"], f"{record['seconds']:.3g}", record["iterations"],
+                setting, record["points"], f"{record['seconds']:.3g}",
+                f"{record['kernels']:.3g}", record["iterations"],
                 f"{record['residual']:.1e}", f"{100 * record['visited']:.2g} %",
                 f"{record['work']:.3g}", f"{record['truncation_error']:.0e}", record["plan"],
                 f"{record['planned']:.2g}", f"{record['frame']:.2g}",
@@ -220,7 +221,7 @@ def main() -> int:
                 f"{1e3 * record['longest'][0]:.0f} ({record['longest'][1]})",
             ]  # fmt: skip
             if record["status"] != "converged":
-                cells[3] = f"{cells[3]} ({record['status']})"
+                cells[4] = f"{cells[4]} ({record['status']})"
             print(line(*cells), flush=True)
         if len(records) > 1:
             print(f"\n{setting}: {growth(records)}\n", flush=True)

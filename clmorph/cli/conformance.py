@@ -96,7 +96,9 @@ def nearest(findings: Sequence[Finding]) -> Finding | None:
     return max(findings, key=lambda finding: finding.share, default=None)
 
 
-def report(device: Any, findings: list[Finding], pairs_per_second: float) -> dict[str, Any]:
+def report(
+    device: Any, findings: list[Finding], pairs_per_second: float, seconds: dict[str, Any]
+) -> dict[str, Any]:
     """Collect the data about a device for a report in JSON, without personal data."""
     from clmorph._shared.version import __version__
 
@@ -106,6 +108,7 @@ def report(device: Any, findings: list[Finding], pairs_per_second: float) -> dic
         "system": f"{platform.system()} {platform.machine()}",
         "device": device.record(),
         "pairs_per_second": pairs_per_second,
+        "seconds": seconds,
         "findings": [_record(finding) for finding in findings],
         "nearest": None if close is None else close.name,
     }

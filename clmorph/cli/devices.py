@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -180,11 +181,14 @@ def _check_one(device: Device, kernels: Sequence[str]) -> dict[str, Any]:
     if not device.usable:
         note(f"it is unusable: {device.reason}; it is compared because it was named")
     # A wrong program is to be a row of the table, so programs are not verified before their use.
-    operations = OpenCLOperations(device.handle, verify=False)
+    operations = OpenCLOperations(device.handle, verify=False, profiled=True)
+    began, work = time.perf_counter(), operations.work
     findings: list[Finding] = []
     try:
         for finding in check(operations, kernels):
             findings.append(finding)
+        in_kernels, elapsed = work.device_seconds, time.perf_counter() - began
+        longest, name = work.longest_launch
         speed = throughput(operations)
     except Exception as error:  # drivers raise exceptions of any class
         if findings:
@@ -197,9 +201,14 @@ def _check_one(device: Device, kernels: Sequence[str]) -> dict[str, Any]:
             "update its driver, or choose another device"
         ) from error
     _print_findings(findings)
-    click.echo(f"log-sum-exp, 4096²: {speed / 1e9:.2f}·10⁹ pairs/s")
+    click.echo(f"log-sum-exp: {speed / 1e9:.2f}·10⁹ pairs/s")
+    seconds = {"device": in_kernels, "all": elapsed, "longest_launch": longest, "of": name}
+    click.echo(
+        f"kernels took {in_kernels:.2f} s of {elapsed:.2f} s with NumPy's; the longest launch: "
+        f"{name}, {1e3 * longest:.1f} ms"
+    )
     _remember(device, findings, whole=not kernels)
-    return report(device, findings, speed)
+    return report(device, findings, speed, seconds)
 
 
 def _print_findings(findings: list[Finding]) -> None:

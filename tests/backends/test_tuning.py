@@ -1,5 +1,10 @@
 """Tuned constants are stored, used and forgotten, and invalid records of them are ignored."""
 
+import itertools
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -17,7 +22,7 @@ from clmorph.backends.opencl.build.tuned_record import (
     tuned_constants,
 )
 from clmorph.backends.opencl.build.variants import Variant
-from clmorph.backends.opencl.devices import find, verdicts
+from clmorph.backends.opencl.devices import find, throughput, verdicts
 from clmorph.backends.opencl.devices.cache import load_record, save_record
 from clmorph.backends.opencl.tuner import tune
 from clmorph.cli.main import main
@@ -50,6 +55,70 @@ def test_every_variant_can_be_built(constants):
             assert is_possible(other, 256)
             assert other.tile % (other.width * other.group) == 0
             assert other.tile % other.unroll == 0
+
+
+@pytest.mark.parametrize("start", [cpu_constants(16), gpu_constants(256)])
+def test_every_combination_is_reached(start):
+    """By changes of one constant after the other."""
+    reached, new = {start}, [start]
+    while new:
+        constants = new.pop()
+        for name in CANDIDATES:
+            found = set(tuning.variants(constants, name, 256)) - reached
+            reached |= found
+            new += found
+    products = itertools.product(*CANDIDATES.values())
+    every = (replace(start, **dict(zip(CANDIDATES, values, strict=True))) for values in products)
+    assert {constants for constants in every if is_possible(constants, 256)} <= reached
+
+
+def test_a_later_change_makes_an_earlier_one_worth_while(device, monkeypatch):
+    start = choose_constants(device.device)
+
+    def speed(device, constants):
+        both = constants.exp2_builtin != start.exp2_builtin and constants.tile != start.tile
+        return 1e9 * (1 + (constants.tile != start.tile) + 2 * both)
+
+    monkeypatch.setattr(tuning, "_speed", speed)
+    best, _, after = tune(device.device, lambda line: None)
+    assert best.exp2_builtin != start.exp2_builtin
+    assert after == 4e9
+
+
+@pytest.mark.parametrize("rate", [1e8, 1e10, 1e12])
+def test_readings_do_not_saturate(monkeypatch, rate):
+    """By the device's own clock, with points enough to fill it, whatever the host takes."""
+    sizes = []
+
+    class Device:
+        work = SimpleNamespace(device_seconds=0.0)
+
+        def upload(self, points, weights):
+            return len(points)
+
+        def softmin(self, rows, columns, potential, epsilon):
+            sizes.append(rows)
+            time.sleep(1e-3)  # the host's share
+            self.work.device_seconds += 5e-6 + rows * columns / rate
+
+    monkeypatch.setattr(throughput, "THROUGHPUT_SECONDS", 0.0)
+    assert throughput.throughput(Device(), 2048) == pytest.approx(rate, rel=0.02)
+    assert max(sizes) == {1e8: 2048, 1e10: 8192, 1e12: 65536}[rate]
+
+
+def test_the_devices_clock_measures_kernels(device):
+    """Not what the host does, and nothing where the queue is not profiled."""
+    n, seconds = 500, {}
+    for profiled in (False, True):
+        operations = OpenCLOperations(device.device, verify=False, profiled=profiled)
+        cloud = operations.upload(np.random.default_rng(0).random((n, 3)), np.full(n, 1 / n))
+        operations.softmin(cloud, cloud, np.zeros(n), 0.01)
+        work = operations.work
+        longest, name = work.longest_launch
+        assert profiled == bool(name == "log_sum_exp" and 0 < longest <= work.device_seconds)
+        began = time.perf_counter()
+        seconds[profiled] = throughput.seconds_of(operations, lambda: time.sleep(0.01))
+        assert 0.01 <= seconds[profiled] <= time.perf_counter() - began
 
 
 @pytest.mark.full

@@ -87,6 +87,9 @@ def test_report(tmp_path, capfd):
     assert [b["device"]["index"] for b in bundles] == [d.index for d in USABLE]
     for bundle in bundles:
         assert bundle["pairs_per_second"] > 1e6
+        seconds = bundle["seconds"]
+        assert 0 < seconds["longest_launch"] <= seconds["device"] < seconds["all"]
+        assert any(seconds["of"] in kernels for kernels in KERNELS.values())
         assert set(bundle["device"]["quirks"]) <= set(QUIRKS)
     # Nothing personal.
     for folder in (Path.home(), ROOT, tmp_path):

@@ -42,8 +42,9 @@ class OpenCLOperations:
     Its attributes are the operations of `clmorph.backends.interface.Operations`. Each is a method
     of one of the objects that `_bind` creates, and its signature stands in the class there. Build
     constants are the tuned ones by default, else those for the kind of device. `verify` has each
-    program verified against NumPy before its first use (`Programs`). All work runs in `queue`, that
-    of a host program, or in a context of its own.
+    program verified against NumPy before its first use (`Programs`). `profiled` has the device's own
+    clock measure kernels (`Workspace.note`). All work runs in `queue`, that of a host program, or
+    in a context of its own.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class OpenCLOperations:
         constants: BuildConstants | None = None,
         verify: bool = True,
         queue: cl.CommandQueue | None = None,
+        profiled: bool = False,
     ) -> None:
         claim_opencl()
         self.device = device
@@ -75,7 +77,8 @@ class OpenCLOperations:
                 # A queue of Intel's runtime does not retain its context, so this object does.
                 self.context = cl.Context([device]) if queue is None else queue.context
                 # PoCL 3.1 gives a context of a sub-device a queue on the whole device by default.
-                self.queue = queue or cl.CommandQueue(self.context, device)
+                profiling = cl.command_queue_properties.PROFILING_ENABLE if profiled else 0
+                self.queue = queue or cl.CommandQueue(self.context, device, profiling)
             except cl.Error as error:
                 raise DeviceError(
                     f"{self.description} cannot be opened: {error}; "

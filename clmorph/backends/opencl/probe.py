@@ -65,7 +65,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
             constants = choose_constants(device)
             variants = [each for each in variants if each.suits(constants)]
             variants = [each for each in variants if each.file not in skipped]
-        operations = OpenCLOperations(device, constants, verify=False)
+        operations = OpenCLOperations(device, constants, verify=False, profiled=True)
         failures = []
         for variant in variants:
             key = program_key(device, variant, operations.constants)

@@ -1,22 +1,21 @@
 """Search for the fastest build constants of a device by timing, and keep them."""
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 
-import numpy as np
 import pyopencl as cl
 
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
 from clmorph.backends.opencl.build.tuned_record import CANDIDATES, is_possible, save_tuning
 from clmorph.backends.opencl.build.variants import usual_variants
+from clmorph.backends.opencl.devices.throughput import throughput
 from clmorph.errors import ClmorphError
 
 #: The least gain in speed for which a constant is changed; smaller ones may be noise.
 LEAST_GAIN = 0.03
-#: The number of points of each cloud in a trial, and the number of repetitions.
-POINTS, REPEATS = 4096, 7
+#: The least number of points of each cloud in a trial.
+POINTS = 4096
 
 
 def variants(constants: BuildConstants, name: str, largest_group: int) -> Iterator[BuildConstants]:
@@ -42,19 +41,26 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants
     before = after = _speed(device, best)
     slower: list[tuple[BuildConstants, float]] = []
     tell(f"{before / 1e9:6.2f}·10⁹ pairs/s without tuning")
-    for name in CANDIDATES:
-        for other in list(variants(best, name, largest)):
-            try:
-                speed = _speed(device, other)
-            except ClmorphError:
-                continue  # this device cannot build the kernels with these constants
-            changed = {
-                key: value for key, value in asdict(other).items() if value != asdict(best)[key]
-            }
-            tell(f"{speed / 1e9:6.2f}·10⁹ pairs/s with {changed}")
-            if speed > after * (1 + LEAST_GAIN):
-                slower.append((best, after))
-                best, after = other, speed
+    tried, settled = {best}, None
+    # A change may make one of an earlier constant worth while.
+    while settled != best:
+        settled = best
+        for name in CANDIDATES:
+            for other in list(variants(best, name, largest)):
+                if other in tried:
+                    continue
+                tried.add(other)
+                try:
+                    speed = _speed(device, other)
+                except ClmorphError:
+                    continue  # this device cannot build the kernels with these constants
+                changed = {
+                    key: value for key, value in asdict(other).items() if value != asdict(best)[key]
+                }
+                tell(f"{speed / 1e9:6.2f}·10⁹ pairs/s with {changed}")
+                if speed > after * (1 + LEAST_GAIN):
+                    slower.append((best, after))
+                    best, after = other, speed
     while best != start and not _is_right(device, best, tell):
         best, after = slower.pop()
     save_tuning(device, best, start)
@@ -75,13 +81,5 @@ def _is_right(device: cl.Device, constants: BuildConstants, tell: Callable[[str]
 
 
 def _speed(device: cl.Device, constants: BuildConstants) -> float:
-    """Return the point pairs per second, from the median time of a few runs."""
-    operations = OpenCLOperations(device, constants, verify=False)
-    rng = np.random.default_rng(0)
-    cloud = operations.upload(rng.random((POINTS, 5)), np.full(POINTS, 1 / POINTS))
-    potential, seconds = np.zeros(POINTS), []
-    for _ in range(REPEATS + 1):
-        began = time.perf_counter()
-        operations.softmin(cloud, cloud, potential, 0.01)
-        seconds.append(time.perf_counter() - began)
-    return float(POINTS**2 / np.median(seconds[1:]))
+    """Return the point pairs per second by the device's own clock."""
+    return throughput(OpenCLOperations(device, constants, verify=False, profiled=True), POINTS)

@@ -71,9 +71,19 @@ class Workspace:
 
     def __init__(self, context: cl.Context, queue: cl.CommandQueue) -> None:
         self.context, self.queue, self.device = context, queue, queue.device
+        self._is_profiled = bool(queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
+        #: Where the queue is profiled: seconds of all kernels, and seconds and name of the longest.
+        self.device_seconds, self.longest_launch = 0.0, (0.0, "")
         #: The scalars that each kernel stores, as bytes, by the argument's number.
         self._scalars: dict[cl.Kernel, dict[int, bytes]] = {}
         self._pool = MemoryPool(ImmediateAllocator(queue, cl.mem_flags.READ_WRITE))
+
+    def note(self, name: str, event: cl.Event) -> None:
+        """Add the device's seconds of a kernel that has ended, if the queue is profiled."""
+        if self._is_profiled:
+            seconds = 1e-9 * (event.profile.end - event.profile.start)
+            self.device_seconds += seconds
+            self.longest_launch = max(self.longest_launch, (seconds, name))
 
     def buffer(self, values: NDArray[Any], dtype: Any = np.float32) -> cl.Buffer:
         """Return a buffer that holds these values."""
@@ -132,3 +142,4 @@ class Workspace:
                 )
         finally:
             cl.wait_for_events(ended)
+        self.note(kernel.function_name, ended[0])

@@ -360,7 +360,7 @@ class ResidentSteps(ABC):
         bound.bind(iteration, self._scalars)
         prepare, iteration.prepared = iteration.is_unprepared, -1
         control, events = iteration.control(begun, place, count), list[cl.Event]()
-        began = time.perf_counter()
+        launched, began = list[tuple[str, cl.Event]](), time.perf_counter()
         try:
             events += self._tell(iteration, bound, control, radius, prepare)
             for name, size, group in self._launches(iteration, prepare):
@@ -368,6 +368,7 @@ class ResidentSteps(ABC):
                 events.append(
                     cl.enqueue_nd_range_kernel(queue, kernel, size, group, wait_for=before)
                 )
+                launched.append((name, events[-1]))
             events.append(
                 cl.enqueue_copy(
                     queue, iteration.numbers, iteration.arguments["numbers"],
@@ -381,6 +382,8 @@ class ResidentSteps(ABC):
             raise
         if bound.budget:
             bound.budget.learn(iteration.n_pairs, time.perf_counter() - began)
+        for name, event in launched:
+            self._work.note(name, event)
         return iteration.read()
 
     def _potentials(self, iteration: DeviceIteration) -> tuple[Float64, Float64, Float64]:
