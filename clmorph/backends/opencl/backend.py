@@ -42,9 +42,9 @@ class OpenCLOperations:
     Its attributes are the operations of `clmorph.backends.interface.Operations`. Each is a method
     of one of the objects that `_bind` creates, and its signature stands in the class there. Build
     constants are the tuned ones by default, else those for the kind of device. `verify` has each
-    program verified against NumPy before its first use (`Programs`). `profiled` has the device's own
-    clock measure kernels (`Workspace.note`). All work runs in `queue`, that of a host program, or
-    in a context of its own.
+    program verified against NumPy before its first use (`Programs`). `profiled` has the device's
+    own clock measure kernels (`Workspace.note`). All work runs in `queue`, that of a host program,
+    or in a context of its own.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class OpenCLOperations:
 
     def _bind(self) -> None:
         """Create the parts, and make their methods the operations of this object."""
-        loop = RowLoop(self.work, self.constants, self.programs)
+        loop = self.row_loop = RowLoop(self.work, self.constants, self.programs)
         clouds = CloudStore(self.work, self.constants)
         log_sum_exp = LogSumExp(loop)
         near_field = NearField(loop, log_sum_exp)

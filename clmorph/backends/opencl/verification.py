@@ -141,6 +141,13 @@ def _softmins(bench: Bench, variant: Variant) -> _Findings:
             yield from check_offsets(case)
 
 
+def _levels(bench: Bench, variant: Variant) -> _Findings:
+    with bench.forced("row_loop", "device_levels", 0):
+        for case in bench.clouds(variant):
+            for precise in (False, True):
+                yield from check_softmin(case, precise)
+
+
 def _near_pairs(bench: Bench, variant: Variant) -> _Findings:
     for case in bench.clouds(variant):
         yield from check_near_pairs(case)
@@ -224,6 +231,7 @@ _STORE = (*KERNELS["sliced_ellpack.cl"], *KERNELS["plan_rows.cl"])
 #: Every comparison of a device with NumPy, but for the whole morph.
 TABLE = (
     Row("log_sum_exp.cl", ("log_sum_exp",), _softmins),
+    Row("tile_levels.cl", ("tile_levels", "log_sum_exp"), _levels),
     Row("near_field.cl", ("log_sum_exp",), _near_pairs),
     Row("plan_rows.cl", KERNELS["plan_rows.cl"], _plan_rows),
     Row(

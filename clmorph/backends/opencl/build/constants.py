@@ -137,6 +137,10 @@ class BuildConstants:
         """Return the macros of ``common.cl``, for files that have none of their own."""
         return {"EXP2_BUILTIN": self.exp2_builtin, "SENTINEL": SENTINEL, "WIDTH": self.width}
 
+    def tile_level_macros(self) -> dict[str, int | float]:
+        """Return the macros of ``tile_levels.cl``."""
+        return {**self.common_macros(), "GROUP": self.group}
+
     def layer_macros(self) -> dict[str, int | float]:
         """Return the macros of ``layers.cl``."""
         return {**self.common_macros(), "LEAST_LIKENESS": LEAST_LIKENESS}

@@ -3,6 +3,7 @@
 #: The kernels of each file.
 KERNELS = {
     "log_sum_exp.cl": ("log_sum_exp",),
+    "tile_levels.cl": ("tile_levels",),
     "near_field.cl": ("bound_tiles", "mark_columns"),
     "barycentric_projection.cl": ("barycentric_projection",),
     "plan_rows.cl": ("count_plan_rows", "fill_plan_rows"),

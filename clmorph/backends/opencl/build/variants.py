@@ -36,6 +36,7 @@ class Variant:
             "splat.cl": constants.splat_macros,
             "gauss_transform.cl": constants.gauss_transform_macros,
             "layers.cl": constants.layer_macros,
+            "tile_levels.cl": constants.tile_level_macros,
             "nearest_seeds.cl": constants.nearest_seeds_macros,
             "half_steps.cl": constants.half_step_macros,
             "sparse_half_steps.cl": constants.sparse_half_step_macros,
@@ -47,7 +48,9 @@ class Variant:
         )
 
     def suits(self, constants: BuildConstants) -> bool:
-        """Return whether a device has what the file needs: float64 and long loops to iterate."""
+        """Return whether a device has what the file needs: float64, and long loops to iterate."""
+        if self.file == "tile_levels.cl":
+            return constants.precise == 2
         return not self.is_optional or (constants.precise == 2 and not constants.longest_loop)
 
     @property
@@ -82,6 +85,7 @@ def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
 def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
     """Return the variants that photographs and drawings use beside the usual ones."""
     return (
+        Variant("tile_levels.cl"),
         Variant("near_field.cl", dimension, listed=True),
         Variant("log_sum_exp.cl", dimension, listed=True, masked=True),
         Variant("log_sum_exp.cl", dimension, precise=True),

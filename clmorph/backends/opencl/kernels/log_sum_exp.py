@@ -137,7 +137,7 @@ class LogSumExp:
             2 if float32 else int(bounded), masked,
         )  # fmt: skip
         if pairs is None:
-            exponents = loop.exponents(rows, columns, potential, epsilon, precise=precise)
+            exponents = loop.unleveled_exponents(rows, columns, potential, epsilon, precise)
         else:
             exponents = loop.listed_exponents(rows, columns, potential, epsilon, precise)
         shares = loop.column_shares(rows, columns, pairs)

@@ -24,6 +24,8 @@ FILL_PAIRS = 1 << 22
 #: The largest number of levels between tiles that are kept from their maxima to the launch, in
 #: place of being formed again.
 KEPT_LEVELS = 1 << 18
+#: From this number of levels on, the device forms those of dense sums, if it has float64.
+DEVICE_LEVELS = 1 << 13
 
 
 class Exponents(NamedTuple):
@@ -34,6 +36,7 @@ class Exponents(NamedTuple):
     row_level: Float64  #: (row tiles,) the level that the rows' exponents are measured from
     k: float  #: log2(e) / epsilon
     levels: Float64 | None = None  #: (row tiles, column tiles), where few enough to be kept
+    tile_max_buffer: cl.Buffer | None = None  #: where the device forms levels: `tile_max`
 
 
 class RowLoop:
@@ -44,6 +47,7 @@ class RowLoop:
         self._budgets: dict[int, LaunchBudget] = {}
         self._kernels: dict[Variant, dict[str, cl.Kernel]] = {}
         self._rows_of_item: dict[int, int] = {}
+        self.device_levels = DEVICE_LEVELS
 
     def kernel(
         self,
@@ -100,7 +104,7 @@ class RowLoop:
         exponents may use them.
         """
         found = self.listed_exponents(rows, columns, potential, epsilon, precise)
-        _, tile_max, row_level, k, _ = found
+        _, tile_max, row_level, k, *_ = found
         within = within or range(len(row_level))
         each = len(tile_max) if pairs is None else -(-len(pairs.tiles) // len(within))
         step = max(1, (1 << 22) // max(1, each))
@@ -123,6 +127,37 @@ class RowLoop:
         k = LOG2_E / epsilon
         logits, tile_max = self.column_logits(columns, potential, k, precise)
         return Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
+
+    def unleveled_exponents(
+        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool = True
+    ) -> Exponents:
+        """Return the terms for a dense sum, whose levels `launch` may have the device form.
+
+        Their row levels are known once all rows were launched.
+        """
+        suits = Variant("tile_levels.cl").suits(self.constants)
+        if not suits or len(rows.centers) * len(columns.centers) < self.device_levels:
+            return self.exponents(rows, columns, potential, epsilon, precise=precise)
+        found = self.listed_exponents(rows, columns, potential, epsilon, precise)
+        return found._replace(tile_max_buffer=self.work.buffer(found.tile_max, np.float64))
+
+    def _levels_on_device(
+        self, rows: Cloud, columns: Cloud, exponents: Exponents, part: range, precise: bool
+    ) -> cl.MemoryObject:
+        """Form the levels of some row tiles on the device, and read the row levels."""
+        n, n_columns, planes = len(part), len(columns.centers), 2 if precise else 1
+        kernels = self._kernels.setdefault(Variant("tile_levels.cl"), {})
+        kernels = kernels or self.programs.kernels(Variant("tile_levels.cl"))
+        self._kernels[Variant("tile_levels.cl")] = kernels
+        levels, row_level = self.work.empty(4 * planes * n * n_columns), self.work.empty(8 * n)
+        self.work.launch(
+            kernels["tile_levels"], (n * self.constants.group,), (self.constants.group,),
+            *map(np.uint32, (part.start, n_columns, rows.centers.shape[1], planes)),
+            np.float64(exponents.k), rows.centers_buffer, columns.centers_buffer,
+            exponents.tile_max_buffer, row_level, levels,
+            results=((exponents.row_level[part.start : part.stop], row_level),),
+        )  # fmt: skip
+        return levels
 
     def set_levels(self, exponents: Exponents, pairs: TilePairs, part: range) -> Float64:
         """Set the level of each row tile of a part to the largest level of its listed pairs.
@@ -238,11 +273,15 @@ class RowLoop:
         with lists visits `pairs`, at the `levels` that `set_levels` has returned for the part. See
         `Workspace.launch` for the results.
         """
-        _, tile_max, row_level, k, known = exponents
+        _, tile_max, row_level, k, known, on_device = exponents
         section = slice(part.start, part.stop)
         n_rows = len(part) * self.constants.tile
         lists: tuple[Any, ...] = ()
-        if pairs is None:
+        levels_buffer = None
+        if on_device is not None:
+            levels_buffer = self._levels_on_device(rows, columns, exponents, part, precise)
+            work = n_rows * columns.stride
+        elif pairs is None:
             if known is None:
                 known = _levels(rows.centers[section], columns.centers, tile_max, k)
             else:
@@ -261,15 +300,17 @@ class RowLoop:
                 np.uint32(len(listed)), self.work.buffer(starts, np.uint32),
                 self.work.buffer(listed, np.uint32),
             )  # fmt: skip
-        levels = np.maximum(levels, SENTINEL)
-        planes: NDArray[Any] = levels
-        if precise:
-            planes = split(levels) if lists else np.swapaxes(split(levels), 0, 1)
+        if levels_buffer is None:
+            assert levels is not None
+            levels = np.maximum(levels, SENTINEL)
+            planes: NDArray[Any] = levels
+            if precise:
+                planes = split(levels) if lists else np.swapaxes(split(levels), 0, 1)
+            levels_buffer = self.work.buffer(planes)
         windows = 1 if shares else self._windows(columns, pairs)
         at_once = len(columns.centers)
         if windows > 1:
             at_once = loop_limits.column_tiles(self.constants, columns.centers.shape[1])
-        levels_buffer = self.work.buffer(planes)
         for window in range(windows):
             with self.budget(kernel).measure(work // windows):
                 self.work.launch(
