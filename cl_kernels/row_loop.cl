@@ -9,7 +9,7 @@
 //
 //     e_ij = level_pq + h_j + k u.(v - (p - q)) + k [(p - q).v - |v|^2 / 2]:
 //
-// level_pq holds the large numbers and is formed in float64 on the host, so float32
+// level_pq holds the large numbers and is formed in float64, on the host or by tile_levels.cl, so float32
 // adds only small ones; exponents.cl has wider arithmetic where that is not enough. The
 // row's own -k |u|^2 / 2 and the level's offset are constants of the row and are added
 // on the host as well.

@@ -1,0 +1,44 @@
+"""Levels between tiles of dense sums are formed on the device where it has float64."""
+
+import numpy as np
+import pytest
+
+from clmorph.backends.opencl.kernels import row_loop
+from clmorph.backends.opencl.kernels.launches import LaunchBudget
+
+
+@pytest.mark.parametrize("operation", ["softmin", "precise", "bounded", "maxima"])
+@pytest.mark.parametrize("parts", [1, 4])
+def test_levels_of_the_device_are_the_hosts(device, rng, monkeypatch, operation, parts):
+    """In one launch and in several, with points far apart, and tiles without mass."""
+    if not device.has_float64:
+        pytest.skip("its levels are the host's")
+    n, m, epsilon = 700, 460, 1e-3
+    weights = rng.random(m)
+    weights[: 2 * device.constants.tile] = 0
+    rows = device.upload(3 * rng.random((n, 4)), np.full(n, 1 / n))
+    columns = device.upload(3 * np.sort(rng.random((m, 4)), axis=0), weights, rng.random(m))
+    g = rng.normal(size=m)
+    run = {
+        "softmin": lambda: device.softmin(rows, columns, g, epsilon),
+        "precise": lambda: device.softmin(rows, columns, g, epsilon, True),
+        "bounded": lambda: device.bounded_softmin(rows, columns, g, epsilon)[0],
+        "maxima": lambda: device.row_maxima(rows, columns, g, epsilon),
+    }[operation]
+    wanted = run()
+    monkeypatch.setattr(device.row_loop, "device_levels", 0)
+    monkeypatch.setattr(row_loop, "_levels", None)  # the host forms none
+    if parts > 1:
+        each = rows.stride * columns.stride // parts
+        monkeypatch.setattr(LaunchBudget, "pairs", lambda budget: each)
+    assert np.abs(run() - wanted).max() <= 1e-6 * epsilon
+
+
+def test_few_levels_are_the_hosts(device, rng, monkeypatch):
+    """A launch takes longer than so few."""
+    cloud = device.upload(rng.random((300, 3)), np.full(300, 1 / 300))
+    monkeypatch.setattr(device.row_loop, "_levels_on_device", None)
+    device.softmin(cloud, cloud, np.zeros(300), 0.1)
+    if not device.has_float64:
+        monkeypatch.setattr(device.row_loop, "device_levels", 0)
+        device.softmin(cloud, cloud, np.zeros(300), 0.1)
