@@ -25,6 +25,7 @@ from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.verification.layers import mean_cases, path_cases, scenes
+from clmorph.backends.verification.tables import colors_of, tables
 from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations
 from clmorph.transport._solver.batch import problem_of_many
@@ -206,6 +207,9 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     seeds = rng.uniform(-9, 30, (190, 2)).astype(np.float32)
     for count in (1, 190):
         results.append(operations.nearest_seeds(seeds[:count], (16, 21)).astype(float))
+    for table in tables((2, 5)).values():
+        on_device = operations.upload_table(table)
+        results.append(operations.apply_table(on_device, colors_of(70, len(table))))
     for method in ("gather", "moments"):
         if isinstance(operations, OpenCLOperations):
             operations.splatting.method = method

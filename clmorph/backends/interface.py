@@ -515,3 +515,15 @@ class Operations(Protocol):
         seed; `seeds`, (K, 2), are positions (x, y) in pixels, inside the canvas or outside of it,
         finite and at most 1e18.
         """
+
+    def upload_table(self, table: Float32) -> Any:
+        """Upload a table of colors over the cube [0, 1]^3: (n, n, n, 3) array, 2 <= n <= 256."""
+
+    def apply_table(self, table: Any, colors: Float32) -> Float32:
+        """Return colors after a table: (N, 3) array, N >= 1.
+
+        Colors, (N, 3), are finite, and those outside of the cube are taken to its border. Between
+        nodes the interpolation is tetrahedral: a color is the mean of the corners of the cell that
+        lie on the way from its lowest to its highest corner along the axes in the order of the
+        color's coordinates in the cell, from the largest one to the smallest.
+        """

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from clmorph._shared.progress import Share, StageProgress
+from clmorph._shared.progress import Report, Share, StageProgress
 from clmorph._shared.threads import in_order
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_progress
 from clmorph.backends.arrays import as_array
+from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.images.color import to_space
@@ -23,6 +25,7 @@ from clmorph.measures.points import WeightedPoints
 from clmorph.pipeline.color_map import ColorMap, color_map
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import RecolorKeywords
+from clmorph.pipeline.near_black import NearBlack, near_black
 from clmorph.pipeline.recolor_options import RecolorOptions
 from clmorph.pipeline.recolored import Recolored
 
@@ -125,18 +128,84 @@ def recolored(
     found = pixels.copy()
     if options.strength == 0 or not masses.any():
         return found
-    space = options.color_space
-    pair = _distribution(colors, masses, space), _distribution(like[..., :3], visible, space)
-    change = color_map(
-        *pair, options.blur, options.reach, operations, lambda share: report("colors", share)
-    )
+    look = fitted_look(
+        (colors, masses), (like[..., :3], visible), options, operations,
+        lambda share: report("colors", share),
+    )  # fmt: skip
     amounts = (
         np.full(colors.shape[:2], options.strength) if mask is None else (options.strength * mask)
     )
-    _apply(found, change, amounts, space, report)
+    _apply(found, look, amounts, report)
     if table is not None:
-        table[:] = _moved(table, np.full(len(table), options.strength), change, space, report)
+        table[:] = look.moved(table, np.full(len(table), options.strength), report)
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What becomes of each color: a map in a color space, and its limit near black."""
+
+    change: ColorMap
+    space: str
+    strength: float
+    dark: NearBlack
+
+    def moved(self, colors: Array, shares: Array, report: StageProgress) -> Array:
+        """Return colors (N, 3) after shares (N,) of their steps, computed a part at a time."""
+
+        def moved(part: slice) -> Array:
+            return self._moved(colors[part], shares[part])
+
+        found = np.empty_like(colors)
+        for part, result in in_order(moved, _parts(len(colors))):
+            found[part] = result
+            report("pixels", Share(min(1.0, part.stop / len(colors))))
+        return found
+
+    def _moved(self, colors: Array, shares: Array) -> Array:
+        found = _stepped(colors, shares, self.change, self.space)
+        near = np.flatnonzero(self.dark.reaches(colors))
+        whole = shares[near] == self.strength
+        ours, moved = colors[near], found[near]
+        found[near[whole]] = self.dark.limited(ours[whole], moved[whole])
+        # Where the mask is soft, ways are straight near black, and bent as in the space elsewhere.
+        chosen, ours, moved = near[~whole], ours[~whole], moved[~whole]
+        if len(chosen):
+            full = np.full(len(chosen), self.strength)
+            free = _stepped(ours, full, self.change, self.space)
+            parts = (shares[chosen] / self.strength)[:, None]
+            bent = (moved - ours) - parts * (free - ours)
+            way = parts * (self.dark.limited(ours, free) - ours)
+            found[chosen] = np.clip(ours + way + self.dark.far(ours) * bent, 0.0, 1.0)
+        return found
+
+
+def fitted_look(
+    source: tuple[Array, Array],
+    target: tuple[Array, Array],
+    options: RecolorOptions,
+    operations: Operations,
+    report: Report,
+) -> Look:
+    """Return the look that gives colors (H, W, 3) of masses (H, W) those of others."""
+    space, strength = options.color_space, options.strength
+    colors, masses = _sampled(*source)
+    pair = [
+        WeightedPoints(to_space(values, space), weights)
+        for values, weights in ((colors, masses), _sampled(*target))
+    ]
+    change = color_map(pair[0], pair[1], options.blur, options.reach, operations, report)
+    dark = near_black(
+        colors, masses,
+        lambda chosen: _stepped(chosen, np.full(len(chosen), strength), change, space),
+    )  # fmt: skip
+    return Look(change, space, strength, dark)
+
+
+def _stepped(colors: Array, shares: Array, change: ColorMap, space: str) -> Array:
+    """Return colors (N, 3) after shares (N,) of their steps, without a limit."""
+    coordinates = to_space(colors, space)
+    return into_gamut(coordinates + shares[:, None] * change.steps(coordinates), space)
 
 
 def lattice(size: int) -> Array:
@@ -154,32 +223,30 @@ def as_mask(mask: Any, shape: tuple[int, int]) -> Array:
     return np.ascontiguousarray(as_pixels(values, "mask")[..., 0])
 
 
-def _distribution(colors: Array, masses: Array, space: str) -> WeightedPoints:
-    """Return the colors of an image, or of a sample of its pixels, as weighted points."""
+def _sampled(colors: Array, masses: Array) -> tuple[Array, Array]:
+    """Return the colors (N, 3) of an image, or of a sample of its pixels, and their masses."""
     step = max(1, int(np.ceil(np.sqrt(masses.size / SAMPLES))))
     if masses[::step, ::step].any():
         colors, masses = colors[::step, ::step], masses[::step, ::step]
     seen = masses > 0
-    return WeightedPoints(to_space(colors[seen], space), masses[seen])
+    return colors[seen], masses[seen]
 
 
-def _apply(
-    pixels: Array, change: ColorMap, amounts: Array, space: str, report: StageProgress
-) -> None:
+def _apply(pixels: Array, look: Look, amounts: Array, report: StageProgress) -> None:
     """Recolor pixels in place, by the shares `amounts`."""
     flat, shares = pixels.reshape(amounts.size, -1), amounts.ravel()
     chosen = np.flatnonzero(shares > 0)
     shares = shares[chosen]
     codes = _codes(flat, chosen) if np.all(shares == shares[0]) else None
     if codes is None:
-        flat[chosen, :3] = _moved(flat[chosen, :3], shares, change, space, report)
+        flat[chosen, :3] = look.moved(flat[chosen, :3], shares, report)
         return
     # Pictures of 8 bits have many more pixels than colors.
     known = np.zeros(LEVELS**3, bool)
     known[codes] = True
     distinct = np.flatnonzero(known)
     colors = np.stack(np.unravel_index(distinct, (LEVELS,) * 3), axis=1) / (LEVELS - 1.0)
-    found = _moved(colors, shares[: len(distinct)], change, space, report)
+    found = look.moved(colors, shares[: len(distinct)], report)
     places = np.zeros(LEVELS**3, np.int32)
     places[distinct] = np.arange(len(distinct))
     for part in _parts(len(chosen)):
@@ -201,19 +268,3 @@ def _codes(flat: Array, chosen: NDArray[np.intp]) -> NDArray[np.int32] | None:
             return None
         codes[part] = (levels[:, 0] * LEVELS + levels[:, 1]) * LEVELS + levels[:, 2]
     return codes
-
-
-def _moved(
-    colors: Array, shares: Array, change: ColorMap, space: str, report: StageProgress
-) -> Array:
-    """Return colors (N, 3) after shares (N,) of their steps, computed a part at a time."""
-
-    def moved(part: slice) -> Array:
-        coordinates = to_space(colors[part], space)
-        return into_gamut(coordinates + shares[part, None] * change.steps(coordinates), space)
-
-    found = np.empty_like(colors)
-    for part, result in in_order(moved, _parts(len(colors))):
-        found[part] = result
-        report("pixels", Share(min(1.0, part.stop / len(colors))))
-    return found

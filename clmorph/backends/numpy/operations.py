@@ -10,6 +10,7 @@ from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.interface import MAX_SPREAD
 from clmorph.backends.numpy.batches import Batch, divide, for_each
 from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
+from clmorph.backends.numpy.color_table import apply_table
 from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
 from clmorph.backends.numpy.layers import draw_layers, edge_preserving_mean, follow_paths
 from clmorph.backends.numpy.nearest_seeds import nearest_seeds
@@ -454,6 +455,14 @@ class NumPyOperations:
     def nearest_seeds(self, seeds: Float32, shape: tuple[int, int]) -> NDArray[np.int32]:
         """Return the nearest seed of each pixel."""
         return nearest_seeds(seeds, shape)
+
+    def upload_table(self, table: Float32) -> Float32:
+        """Upload a table of colors."""
+        return table
+
+    def apply_table(self, table: Float32, colors: Float32) -> Float32:
+        """Return colors after a table."""
+        return apply_table(table, colors)
 
 
 def kernel_1d(d: Float64, sigma: float, radius: float) -> Float64:

@@ -16,6 +16,7 @@ from clmorph.backends.opencl.devices.verdicts import probed_speed
 from clmorph.backends.opencl.kernels.barycentric_projection import BarycentricProjection
 from clmorph.backends.opencl.kernels.batches import BatchLogSumExp
 from clmorph.backends.opencl.kernels.clouds import CloudStore
+from clmorph.backends.opencl.kernels.color_table import ColorTable
 from clmorph.backends.opencl.kernels.half_steps import HalfSteps
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.kernels.layers import Layers
@@ -106,6 +107,7 @@ class OpenCLOperations:
 
         layers = Layers(self.work, self.constants, self.programs)
         seeds = NearestSeeds(self.work, self.constants, self.programs)
+        tables = ColorTable(self.work, self.programs)
 
         take_turns = self._take_turns
         self.upload = take_turns(clouds.upload)
@@ -143,6 +145,8 @@ class OpenCLOperations:
         self.bin_splats = take_turns(splatting.bin_splats)
         self.splat = take_turns(splatting.splat)
         self.nearest_seeds = take_turns(seeds.nearest_seeds)
+        self.upload_table = take_turns(tables.upload_table)
+        self.apply_table = take_turns(tables.apply_table)
 
     def _take_turns(self, method: Callable[P, T]) -> Callable[P, T]:
         """Run one operation at a time on a device, and report its failures as errors of clmorph.

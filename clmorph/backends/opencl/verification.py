@@ -45,6 +45,7 @@ from clmorph.backends.verification.splats import (
     check_splat,
     thinned,
 )
+from clmorph.backends.verification.tables import check_tables
 from clmorph.errors import ClmorphError
 
 #: The dimension of the points for the checks of files that are built for all dimensions.
@@ -269,6 +270,7 @@ TABLE = (
         ("nearest_seeds",),
         partial(_drawn, check_nearest_seeds, ((120, 160), 20_000)),
     ),
+    Row("color_table.cl", ("apply_table",), partial(_drawn, check_tables, (300_000, (17, 65)))),
     Row(
         "gauss_transform.cl",
         (*_SORT, "choose_width_levels", *KERNELS["gauss_transform.cl"]),

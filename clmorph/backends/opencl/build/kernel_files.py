@@ -20,5 +20,6 @@ KERNELS = {
     "splat.cl": ("splat",),
     "layers.cl": ("edge_preserving_mean", "follow_paths", "place_layer", "draw_layers"),
     "nearest_seeds.cl": ("nearest_seeds",),
+    "color_table.cl": ("apply_table",),
     "gauss_transform.cl": ("sum_moments", "sum_rows", "sum_columns"),
 }  # fmt: skip

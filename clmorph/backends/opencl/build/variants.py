@@ -38,6 +38,7 @@ class Variant:
             "layers.cl": constants.layer_macros,
             "tile_levels.cl": constants.tile_level_macros,
             "nearest_seeds.cl": constants.nearest_seeds_macros,
+            "color_table.cl": constants.common_macros,
             "half_steps.cl": constants.half_step_macros,
             "sparse_half_steps.cl": constants.sparse_half_step_macros,
         }
