@@ -75,6 +75,12 @@ from .frames.particles import (
 from .images.label_maps import (
     read_labels as read_labels,
 )
+from .images.looks import (
+    Lut as Lut,
+)
+from .images.looks import (
+    read_lut as read_lut,
+)
 from .images.pixels import (
     fit as fit,
 )
@@ -99,11 +105,23 @@ from .output.formats.archive import (
 from .output.formats.archive import (
     load as load,
 )
+from .output.luts import (
+    write_lut as write_lut,
+)
 from .output.picture import (
     write_image as write_image,
 )
 from .output.save import (
     save as save,
+)
+from .pipeline.clips import (
+    recolor_clip as recolor_clip,
+)
+from .pipeline.luts import (
+    apply_lut as apply_lut,
+)
+from .pipeline.luts import (
+    fit_lut as fit_lut,
 )
 from .pipeline.mixing.mix import (
     mix as mix,
@@ -218,6 +236,7 @@ __all__ = [
     "FileError",
     "Gradient",
     "ImageWarning",
+    "Lut",
     "OptionWarning",
     "InputError",
     "Inspection",
@@ -238,6 +257,7 @@ __all__ = [
     "RecolorOptions",
     "Recolored",
     "WeightedPoints",
+    "apply_lut",
     "barycenter",
     "barycentric_plan",
     "batch",
@@ -246,6 +266,7 @@ __all__ = [
     "displacement_statistics",
     "divergence_matrix",
     "fit",
+    "fit_lut",
     "get_backend",
     "gradient",
     "inspect",
@@ -256,9 +277,11 @@ __all__ = [
     "morph",
     "particles",
     "read_image",
+    "read_lut",
     "read_labels",
     "rearrange",
     "recolor",
+    "recolor_clip",
     "reference",
     "sample_plan",
     "save",
@@ -268,4 +291,5 @@ __all__ = [
     "sinkhorn_divergence_batch",
     "transport_plan",
     "write_image",
+    "write_lut",
 ]

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -248,10 +248,10 @@ def _beside(given: dict[str, Any], config: files.Found | None) -> dict[str, Sequ
     from clmorph.cli.morph import announce_changes
 
     found: dict[str, Sequence[Path]] = {}
-    for name in ("labels", "features", "mask"):
+    for name in ("labels", "features", "mask", "lut"):
         line, file = given.get(name), None if config is None else config.beside.get(name)
         if line:
-            found[name] = (line,) if name == "mask" else line
+            found[name] = (line,) if name in ("mask", "lut") else line
         elif file is not None and file.entries == [AUTO, AUTO]:
             found[name] = AUTO_LABELS
         elif file is not None:
@@ -274,7 +274,9 @@ def _request(
 
     least, most = counts
     if not least <= len(images) <= most:
-        number = {least: "two", math.inf: "two or more"}.get(most, f"{least} to {most}")
+        number = {least: "one" if least == 1 else "two", math.inf: "two or more"}.get(
+            most, f"{least} to {most}"
+        )
         raise InputError(f"{_counted(images)}: expected {number}, as in clmorph {example}")
     if not given["output"]:
         name = example.split()[-1]
@@ -332,12 +334,17 @@ def rearrange(context: click.RichContext, /, **given: Any) -> None:
     help="A picture of the size of PHOTO: white where it is recolored, black where it stays.",
 )  # fmt: skip
 @click.option(
-    "--export-lut", type=options.FileName(), panel="Output",
-    help="Also write the change of colors as a table, .cube, for other programs.",
+    "--lut", type=options.FileName(), panel="Color",
+    help="A table of colors in place of LIKE: .cube, or a HALD picture.",
+)  # fmt: skip
+@click.option(
+    "--export-lut", type=options.FileName(), multiple=True, panel="Output",
+    help="Also write the change of colors as a table for other programs: .cube, or .png for a HALD "
+    "picture of 512 x 512 pixels. Can be repeated.",
 )  # fmt: skip
 @click.option(
     "--lut-size", type=click.Choice(["17", "33", "65"]), panel="Output",
-    help="Levels a channel of that table, by default 33.",
+    help="Nodes of a .cube along each axis, by default 33.",
 )  # fmt: skip
 @options.max_pixels_option
 @options.device_options
@@ -350,6 +357,8 @@ def recolor(context: click.RichContext, /, **given: Any) -> None:
     clmorph recolor a.jpg b.jpg -o out.png --strength 0.6     part of the way
     clmorph recolor a.jpg b.jpg -o out.png --reach 0.3        rare colors stay
     clmorph recolor a.jpg b.jpg -o out.tif --mask sky.png     only where it is white
+    clmorph recolor a.jpg b.jpg -o out.png --export-lut look.cube   the change as a table
+    clmorph recolor c.jpg --lut look.cube -o out.png          by a table
     """  # noqa: D301
     from clmorph.cli.recolor import run_recolor
     from clmorph.pipeline.recolor_options import RecolorOptions
@@ -359,14 +368,27 @@ def recolor(context: click.RichContext, /, **given: Any) -> None:
         **options.given_options(given, RecolorOptions)
     )
     images = _pictures(given["images"], config)
-    example = "recolor photo.jpg like.jpg -o out.png"
     beside = _beside(given, config)
     export_lut, lut_size = given["export_lut"], given["lut_size"]
-    if lut_size is not None and export_lut is None:
+    if lut_size is not None and not any(path.suffix.lower() == ".cube" for path in export_lut):
         raise InputError("--lut-size without a table: expected --export-lut look.cube as well")
-    request = _request(given, chosen, images, example, (2, 2), beside=beside)
-    tables = [] if export_lut is None else [export_lut]
-    run_recolor(replace(request, tables=tables), int(lut_size or 33))
+    if "lut" in beside:
+        _check_lut(given)
+        example, count = "recolor photo.jpg --lut look.cube -o out.png", 1
+    else:
+        example, count = "recolor photo.jpg like.jpg -o out.png", 2
+    request = _request(given, chosen, images, example, (count, count), beside=beside)
+    run_recolor(replace(request, tables=export_lut), None if lut_size is None else int(lut_size))
+
+
+def _check_lut(given: Mapping[str, Any]) -> None:
+    """Raise InputError if an option is given that says how a table is made."""
+    for name in ("color_space", "blur", "reach", "export_lut", "lut_size"):
+        if given[name]:
+            raise InputError(
+                f"--{name.replace('_', '-')} and --lut contradict: the table says what becomes of "
+                "each color; give one of them"
+            )
 
 
 @cli.command(epilog=_PRESETS)

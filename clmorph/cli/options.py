@@ -21,6 +21,7 @@ from clmorph._shared.options import (
     to_outside,
 )
 from clmorph._shared.staging import staging_folder
+from clmorph.clips.writing import CONTAINERS
 from clmorph.errors import InputError
 from clmorph.frames.options import RenderOptions
 from clmorph.images.pixels import MAX_PIXELS
@@ -312,11 +313,12 @@ file_options = _together(
 picture_options = _together(
     _option(
         "File", "-o", "--output", type=OutputName(), multiple=True,
-        help=f"Where to write, once or more: {', '.join(WRITERS)}, TIFF has 16 bits; - with "
-        "--format: to standard output.",
+        help=f"Where to write, once or more: {', '.join(WRITERS)}, TIFF has 16 bits; .mp4 or .webm "
+        "for a clip; - with --format: to standard output.",
     ),
     _option(
-        "File", "--format", type=click.Choice([ending[1:] for ending in WRITERS]),
+        "File", "--format",
+        type=click.Choice([*(ending[1:] for ending in WRITERS), *CONTAINERS]),
         help="Format of the file, in place of what its ending says.",
     ),
     _recipe_option,

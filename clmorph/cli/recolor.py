@@ -3,39 +3,55 @@
 import warnings
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from clmorph._shared.printable import printable
-from clmorph.cli.common import note_warning, read_picture
+from clmorph.cli.common import note_warning, quiet_libraries, read_picture
 from clmorph.cli.request import Request
-from clmorph.errors import FileError
+from clmorph.errors import FileError, InputError
+from clmorph.images.looks import Lut, read_lut
 from clmorph.images.resizing import as_unit
-from clmorph.output.cube import check_cube_place, write_cube
+from clmorph.output.luts import check_lut_place, nodes_of, put_lut
 from clmorph.output.picture import check_picture_place, write_picture
 from clmorph.output.together import write_together
-from clmorph.pipeline.recolor import lattice, recolored
+from clmorph.pipeline.clips import ClipRecoloring, check_clip_place, container_of, is_clip_place
+from clmorph.pipeline.luts import graded, lut_of
+from clmorph.pipeline.recolor import check_for_picture, feathered, recolored
 
 
-def run_recolor(request: Request, size: int) -> None:
+def run_recolor(request: Request, size: int | None) -> None:
     """Recolor the photo, write the output files, and print a summary.
 
-    Tables of colors have `size` levels a channel.
+    Tables of colors have `size` nodes along an axis, None for what is usual for the format.
     """
     options = request.options
     request.check_files()
+    if any(map(is_clip_place, request.outputs, request.formats())):
+        _recolor_clip(request)
+        return
+    check_for_picture(options)
     places = list(map(check_picture_place, request.outputs, request.formats()))
-    luts = request.tables
-    tables = [(check_cube_place(lut), lut) for lut in luts]
-    photo, like = map(as_unit, request.read())
-    mask = _read_mask(request, photo.shape) if request.beside else None
+    tables = [(check_lut_place(lut), lut) for lut in request.tables]
+    lut = _read_lut(request)
+    photo, *others = map(as_unit, request.read())
+    mask = _read_mask(request, photo.shape) if "mask" in request.beside else None
     operations = request.open()
     with request.stages() as stages, warnings.catch_warnings():
         warnings.showwarning = partial(note_warning, [])
         stages.count("preparation")
-        table = lattice(size) if luts else None
-        found = recolored(photo, like, options, mask, operations, stages, table)
+        look = None
+        if lut is not None:
+            mask = None if mask is None else feathered(mask, options.feather)
+            found = graded(photo, lut, mask, options.strength, operations)
+        else:
+            found, look = recolored(photo, others[0], options, mask, operations, stages)
+        written = [
+            (*each, partial(put_lut, lut_of(look, size or nodes_of(each[0]), stages)))
+            for each in tables
+        ]
         stages("files", 0.0)
         parameters = request.metadata(options, operations)
         write_together(
@@ -46,22 +62,67 @@ def run_recolor(request: Request, size: int) -> None:
                         places, request.outputs, request.formats(), strict=True
                     )
                 ),
-                *(
-                    (*each, partial(write_cube, table.reshape(size, size, size, 3)))
-                    for each in tables
-                    if table is not None
-                ),
+                *written,
             ],
             request.texts(options, operations),
         )
         stages("files", 1.0)
         summary = {
-            "outputs": [str(path) for path in [*request.outputs, *luts]],
+            "outputs": [str(path) for path in [*request.outputs, *request.tables]],
             "size": [photo.shape[1], photo.shape[0]],
             "mean_change": round(float(np.abs(found - photo)[..., :3].mean()), 6),
             **parameters,
         }
     request.finish(summary, stages, partial(_last_line, request))
+
+
+def _recolor_clip(request: Request) -> None:
+    """Recolor a clip, write the output files, and print a summary."""
+    places = list(map(check_clip_place, request.outputs, request.formats()))
+    for name, given in (("mask", request.beside.get("mask")), ("export-lut", request.tables)):
+        if given:
+            raise InputError(f"--{name} is for pictures: leave it out for a clip")
+    clip, options = request.images[0], request.options
+    lut = _read_lut(request)
+    like: Any = lut
+    if lut is None:
+        like = as_unit(read_picture(request.images[1], request.max_pixels))
+    operations = request.open()
+    with request.stages() as stages, warnings.catch_warnings():
+        warnings.showwarning = partial(note_warning, [])
+        stages.count("preparation")
+        recoloring = ClipRecoloring(clip, like, options, operations, request.max_pixels, stages)
+        parameters = request.metadata(options, operations)
+        counts: list[int] = []
+
+        def write(container: str, file: Path) -> None:
+            counts.append(recoloring.write(file, container, parameters, stages))
+
+        write_together(
+            [
+                (place, path, partial(write, container_of(path, format)))
+                for place, path, format in zip(
+                    places, request.outputs, request.formats(), strict=True
+                )
+            ],
+            request.texts(options, operations),
+        )
+        stages.count("files")
+        summary = {
+            "outputs": [str(path) for path in request.outputs],
+            "size": list(recoloring.size),
+            "frames": counts[0],
+            **parameters,
+        }
+    request.finish(summary, stages, partial(_last_line_of_clip, request))
+
+
+def _read_lut(request: Request) -> Lut | None:
+    """Return the table that is given in place of a second picture, or None."""
+    for path in request.beside.get("lut", ()):
+        with quiet_libraries():
+            return read_lut(path, request.max_pixels)
+    return None
 
 
 def _read_mask(request: Request, shape: Sequence[int]) -> Any:
@@ -77,6 +138,15 @@ def _read_mask(request: Request, shape: Sequence[int]) -> Any:
         )
     gray = pixels[..., :3] @ LUMINANCE
     return np.clip(gray * (pixels[..., 3] if pixels.shape[2] == 4 else 1.0), 0.0, 1.0)
+
+
+def _last_line_of_clip(request: Request, summary: dict[str, Any]) -> str:
+    """Return the summary of the run for people."""
+    names = ", ".join(printable(path) for path in summary["outputs"])
+    (width, height), seconds = summary["size"], summary["seconds"]["total"]
+    return (
+        f"{names}: {summary['frames']} frames of {width} x {height} pixels, made in {seconds:.1f} s"
+    )
 
 
 def _last_line(request: Request, summary: dict[str, Any]) -> str:

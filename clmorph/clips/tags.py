@@ -65,20 +65,22 @@ class ColorTags(NamedTuple):
 
     def to_srgb(self, colors: Array) -> Array:
         """Return colors (..., 3) of the clip in sRGB; those that sRGB has not are clipped."""
-        if self._is_srgb():
+        if self.is_srgb:
             return colors
         light = self._light(colors) @ _between(self._primaries(), BT709).T
         return np.clip(encode(light), 0.0, 1.0)
 
     def from_srgb(self, colors: Array) -> Array:
         """Return colors (..., 3) of sRGB as the clip has them, the inverse of `to_srgb`."""
-        if self._is_srgb():
+        if self.is_srgb:
             return colors
         light = np.maximum(decode(colors) @ _between(BT709, self._primaries()).T, 0.0)
         power = POWERS.get(self.transfer)
         return np.clip(encode(light) if power is None else light ** (1 / power), 0.0, 1.0)
 
-    def _is_srgb(self) -> bool:
+    @property
+    def is_srgb(self) -> bool:
+        """Whether the numbers of the clip are those of sRGB."""
         return self.transfer not in POWERS and self._primaries() == BT709
 
     def _primaries(self) -> int:

@@ -87,3 +87,4 @@ class RecolorKeywords(TypedDict, total=False):
     blur: float
     reach: float | None
     feather: float
+    reference_frame: int | None

@@ -45,7 +45,7 @@ COMMANDS: dict[str, type[Options]] = {
 BESIDE: dict[type[Options], dict[str, int]] = {
     MorphOptions: {"labels": 2, "features": 2},
     RearrangeOptions: {},
-    RecolorOptions: {"mask": 1},
+    RecolorOptions: {"mask": 1, "lut": 1},
 }
 #: Keys that only the user decides, in the command line or in TOML; recipes do not contain them.
 OWN = (OUTPUT, "format", "recipe", "max_pixels")
@@ -125,8 +125,8 @@ def read_recipe(path: Path) -> dict[str, Any]:
     """Read the recipe in a file that clmorph has written.
 
     It has the key ``options``, with names outside, and optionally ``images``, ``labels``,
-    ``features``, ``mask``, ``arrays``, ``command`` and ``device``. A recipe of several morphs with
-    different options is refused.
+    ``features``, ``mask``, ``lut``, ``arrays``, ``command`` and ``device``. A recipe
+    of several morphs with different options is refused.
     """
     found = read_parameters(path)
     if not isinstance(found.get("options"), dict):

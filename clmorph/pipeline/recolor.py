@@ -97,10 +97,11 @@ def recolor(
     True
     """
     chosen = RecolorOptions.of_call(options, given, "strength=0.5")
+    check_for_picture(chosen)
     report = check_progress(progress)
     pixels, other = as_pixels(image, "image"), as_pixels(like, "like")
     amount = None if mask is None else as_mask(mask, (pixels.shape[0], pixels.shape[1]))
-    return recolored(pixels, other, chosen, amount, backend, report).view(Recolored)
+    return recolored(pixels, other, chosen, amount, backend, report)[0].view(Recolored)
 
 
 def recolored(
@@ -110,35 +111,39 @@ def recolored(
     mask: Array | None,
     backend: Backend,
     report: StageProgress,
-    table: Array | None = None,
-) -> Array:
+) -> tuple[Array, Look | None]:
     """Recolor a picture, (H, W, 3 or 4); the parameters are checked ones of `recolor`.
 
-    Colors `table` (N, 3) are replaced by where the same map sends them, without the mask.
+    The look is returned as well; None if no color changes.
     """
-    operations = get_backend(backend)
-    visible = np.ones(like.shape[:2]) if like.shape[2] == 3 else like[..., 3]
-    if not visible.any():
-        raise InputError("like: every pixel is transparent; expected colors to take")
-    if mask is not None and options.feather > 0:
-        mask = np.clip(gaussian_filter(mask, 0.5 * options.feather, mode="nearest"), 0.0, 1.0)
+    found = pixels.copy()
+    mask = None if mask is None else feathered(mask, options.feather)
+    look = look_of(pixels, like, options, mask, get_backend(backend), report)
+    if look is not None:
+        shares = np.ones(pixels.shape[:2]) if mask is None else mask
+        _apply(found, look, options.strength * shares, report)
+    return found, look
+
+
+def look_of(
+    pixels: Array,
+    like: Array,
+    options: RecolorOptions,
+    mask: Array | None,
+    operations: Operations,
+    report: StageProgress,
+) -> Look | None:
+    """Return the look that gives a picture the colors of another one; None if nothing changes."""
+    visible = weights_of(like)
     colors, alpha = split_alpha(pixels)
     masses = np.ones(colors.shape[:2]) if mask is None else mask
     masses = masses if alpha is None else masses * alpha
-    found = pixels.copy()
     if options.strength == 0 or not masses.any():
-        return found
-    look = fitted_look(
+        return None
+    return fitted_look(
         (colors, masses), (like[..., :3], visible), options, operations,
         lambda share: report("colors", share),
     )  # fmt: skip
-    amounts = (
-        np.full(colors.shape[:2], options.strength) if mask is None else (options.strength * mask)
-    )
-    _apply(found, look, amounts, report)
-    if table is not None:
-        table[:] = look.moved(table, np.full(len(table), options.strength), report)
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +154,12 @@ class Look:
     space: str
     strength: float
     dark: NearBlack
+
+    def table(self, size: int, report: StageProgress) -> Array:
+        """Return what becomes of the colors of a table: (size, size, size, 3) array."""
+        colors = lattice(size)
+        found = self.moved(colors, np.full(len(colors), self.strength), report)
+        return found.reshape(size, size, size, 3)
 
     def moved(self, colors: Array, shares: Array, report: StageProgress) -> Array:
         """Return colors (N, 3) after shares (N,) of their steps, computed a part at a time."""
@@ -212,6 +223,30 @@ def lattice(size: int) -> Array:
     """Return the colors (size³, 3) of a table, red slowest."""
     levels = np.linspace(0.0, 1.0, size)
     return np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def weights_of(like: Array) -> Array:
+    """Return how much each pixel (H, W) of a picture counts whose colors are taken."""
+    visible = np.ones(like.shape[:2]) if like.shape[2] == 3 else like[..., 3]
+    if not visible.any():
+        raise InputError("like: every pixel is transparent; expected colors to take")
+    return visible
+
+
+def feathered(mask: Array, width: float) -> Array:
+    """Return a mask whose edges are softened over a width in pixels."""
+    if not width:
+        return mask
+    return np.clip(gaussian_filter(mask, 0.5 * width, mode="nearest"), 0.0, 1.0)
+
+
+def check_for_picture(options: RecolorOptions) -> None:
+    """Raise InputError if an option is given that concerns clips."""
+    if options.reference_frame is not None:
+        raise InputError(
+            f"reference_frame={options.reference_frame} belongs to a clip; leave it out for a "
+            "picture"
+        )
 
 
 def as_mask(mask: Any, shape: tuple[int, int]) -> Array:

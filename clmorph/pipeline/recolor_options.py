@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from clmorph._shared.option_kinds import choice, number
+from clmorph._shared.option_kinds import choice, integer, number
 from clmorph._shared.options import Options, option
 from clmorph.images.color import ColorSpace
 
@@ -52,4 +52,10 @@ class RecolorOptions(Options):
     feather: float = option(
         0.0, number(0.0, 1e4), "Width over which the edge of the mask is softened.", "Color",
         unit="pixels", word="",
+    )  # fmt: skip
+    reference_frame: int | None = option(
+        None, integer(0, 1 << 31),
+        "Number of the frame of a clip, from 0, whose colors count, spread: 16 frames over the "
+        "clip.",
+        "Color", word="spread",
     )  # fmt: skip

@@ -182,7 +182,7 @@ def make_recolored(task: Task, report: StageProgress) -> Picture:
             shape = task.pictures[0].shape
             mask = reduced_labels(mask.astype(np.int64), (shape[0], shape[1])).astype(float)
     photo, like = map(as_unit, task.pictures)
-    found = recolored(photo, like, task.options, mask, task.operations, report)
+    found, _ = recolored(photo, like, task.options, mask, task.operations, report)
     return Picture(found, 255 * float(np.abs(found - photo)[..., :3].mean()))
 
 

@@ -133,6 +133,7 @@ def examples() -> dict[str, Any]:
         "path": clmorph.density_path(np.eye(3), np.eye(3)[:, ::-1], backend="numpy"),
         "plain": (np.ones(3), np.arange(6.0).reshape(3, 2)),
         "queue": _any_queue(),
+        "lut": clmorph.Lut(np.zeros((3, 3, 3, 3))),
         "mixes": clmorph.mix([a, b, a[::-1]], [[1, 0, 0], [1, 1, 0]], n_frames=2, backend="numpy"),
         "rearranged": clmorph.rearrange(a, b, n_frames=2, backend="numpy"),
     }
@@ -201,8 +202,23 @@ def cases() -> dict[str, dict[str, Any]]:
         "recolor": {
             "image": some["a"], "like": some["b"], "options": None, "mask": np.ones((3, 3)),
             "backend": "numpy", "progress": Idle(), "strength": 0.5, "color_space": "oklab",
-            "blur": 0.1, "reach": 1.0, "feather": 1.0,
+            "blur": 0.1, "reach": 1.0, "feather": 1.0, "reference_frame": None,
         },
+        "recolor_clip": {
+            "clip": "none.mp4", "like": some["b"], "path": "out.mp4", "options": None,
+            "max_pixels": 1000, "backend": "numpy", "progress": Idle(), "strength": 0.5,
+        },
+        "fit_lut": {
+            "image": some["a"], "like": some["b"], "options": None, "size": 3,
+            "mask": np.ones((3, 3)), "backend": "numpy", "progress": Idle(), "strength": 0.5,
+        },
+        "apply_lut": {
+            "image": some["a"], "lut": some["lut"], "mask": np.ones((3, 3)), "strength": 0.5,
+            "backend": "numpy",
+        },
+        "Lut": {"table": np.zeros((2, 2, 2, 3)), "low": 0.0, "high": 1.0},
+        "read_lut": {"path": "none.cube", "max_pixels": 1000},
+        "write_lut": {"path": "out.cube", "lut": some["lut"]},
         "RecolorOptions.replace": {
             "self": clmorph.RecolorOptions(), "strength": 0.5, "reach": None,
         },

@@ -18,6 +18,7 @@ import threading
 import tomllib
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from comfyui_stand_in import make_folder
@@ -126,6 +127,13 @@ def write_pictures(longer=None):
     for name, sprite in (("cat.png", "cat"), ("dog.png", "toadstool")):
         with Image.open(ROOT / f"clmorph/cli/samples/{sprite}.png") as picture:
             picture.save(name)
+    clip = av.open("clip.mp4", "w")
+    stream = clip.add_stream("libx264", rate=5, width=96, height=64, pix_fmt="yuv420p")
+    for k in range(5):
+        picture = Image.fromarray(data.chelsea()).crop((9 * k, 9 * k, 300 + 9 * k, 200 + 9 * k))
+        clip.mux(stream.encode(av.VideoFrame.from_image(picture.resize((96, 64)))))
+    clip.mux(stream.encode(None))
+    clip.close()
 
 
 @pytest.fixture
@@ -484,7 +492,14 @@ OPEN = []
 #: Files that blocks leave.
 LEFT = {
     README: ("out.gif",),
-    "clmorph/pipeline/README.md": ("out.gif", "tour.webp", "out.npz", "recolored.png"),
+    "clmorph/pipeline/README.md": (
+        "out.gif",
+        "tour.webp",
+        "out.npz",
+        "recolored.png",
+        "look.cube",
+        "recolored.mp4",
+    ),
 }
 
 

@@ -35,8 +35,9 @@ INTERFACES = ("torch.sinkhorn_divergence", "jax.sinkhorn_divergence", "geomloss.
 SECTIONS = {
     "Films and pictures": (
         "morph", "Morph", "MorphOptions", "load_options", "rearrange", "Rearrangement",
-        "RearrangeOptions", "recolor", "Recolored", "RecolorOptions", "mix", "Mixes", "save",
-        "load", "Archive", "read_image", "read_labels", "write_image", "fit", "inspect",
+        "RearrangeOptions", "recolor", "Recolored", "RecolorOptions", "recolor_clip", "Lut",
+        "fit_lut", "apply_lut", "read_lut", "write_lut", "mix", "Mixes", "save", "load", "Archive",
+        "read_image", "read_labels", "write_image", "fit", "inspect",
         "Inspection", "particles", "Particles", "density_path", "DensityPath",
     ),
     "Transport": (
