@@ -1,12 +1,8 @@
-// A Sinkhorn iteration between two softmins over all pairs, float64, of one problem or of many. It is Algorithm 1
-// of Sejourne, Vialard and Peyre (2022), extrapolated; the formulas stand in vector_steps.cl:
-//
-//   row_step     s = translation(g, T(g)), f = Delta_a (T(g) - s), g <- g + s; the dual of (f, g), which decides
-//                whether the extrapolation before it is kept
-//   column_step  the residual; s = translation(f, T(f)), g' = Delta_b (T(f) - s), f <- f + s; the dual of (f, g');
-//                the next g: g' extrapolated by Anderson's acceleration, without drift if both sides are balanced
-//
-// Each kernel first joins the softmin that log_sum_exp.cl has computed, and last prepares the next one.
+// A Sinkhorn iteration between two softmins over all pairs, float64, of one problem or of many. Its formulas,
+// those of Algorithm 1 of Sejourne, Vialard and Peyre (2022), stand in vector_steps.cl. The four launches of an
+// iteration are log_sum_exp (rows), row_step, log_sum_exp (columns), column_step; prepare_rows comes before them
+// where the host has set g. Each kernel first joins the softmin that log_sum_exp.cl has computed, and last
+// prepares the next one.
 //
 // Shapes: n points of the rows and m of the columns, those of all problems one after the other, each problem
 // padded to whole tiles by points without mass. `problems` has a line for each problem, see PROBLEM.
@@ -29,6 +25,9 @@
     columns += PROBLEM(FIRST_COLUMN)
 
 // Prepare the softmin of the rows, T(g), for a new g: the host's, or one of the columns' vectors.
+//   logits_j = k (g_j - offset_j) + log2 b_j, less its tile's largest; levels_pq = that largest - k C_pq - row_level_p,
+//   C_pq the cost between the centers of tiles p and q
+// Shapes: g (m,), logits (2, m), levels (n / TILE, m / TILE). Launch: a work-group for each problem.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void prepare_rows(
     const __global uint* restrict problems, const uint only_control,
@@ -55,11 +54,12 @@ INLINE double log_sum(
     const __global double* log_weights, const __global double* potential, const uint size,
     const double rate, const bool needed, __local double* shared)
 {
+    const uint end = needed ? size : 0; // without it the sum is 1
     vdouble most = (vdouble)(-INFINITY), sum = (vdouble)(needed ? 0.0 : 1.0 / (GROUP * LANES));
-    for (uint i = FIRST; i < size && needed; i += STEP)
+    for (uint i = FIRST; i < end; i += STEP)
         most = fmax(most, log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate));
     const double top = group_largest(needed ? largest_lane(most) : 0.0, shared);
-    for (uint i = FIRST; i < size && needed; i += STEP)
+    for (uint i = FIRST; i < end; i += STEP)
         sum += exp(log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate) - (vdouble)(top));
     return top + log(group_sum(sum_of_lanes(sum), shared));
 }
@@ -82,6 +82,10 @@ INLINE double dual_part(
 }
 
 // After T(g): f, the shift of g, and the dual. Then the softmin of the columns, T(f), is prepared.
+//   s = translation(g, T(g));  T(g) <- T(g) - s;  f = Delta_a T(g);  g <- g + s
+//   m(pi) = sum_i a_i exp((f_i - T(g)_i) / epsilon);  the dual of (f, g), by which the host keeps the extrapolation
+//   before it or takes that back
+// Shapes: T(g), f (n,), g (m,), numbers (NUMBER_COUNT,). Launch: a work-group for each problem.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void row_step(
     const __global uint* restrict problems, const uint only_control,
@@ -145,6 +149,11 @@ void row_step(
 
 // After T(f): the residual, the image of g, the shift of f, the dual, and the extrapolated g. Then the
 // softmin of the rows, T(g), is prepared.
+//   residual = max(|f - Delta_a T(g)|, |g - Delta_b T(f)|) / epsilon, where there is mass
+//   s = translation(f, T(f));  T(f) <- T(f) - s;  g' = Delta_b T(f);  f <- f + s;  the dual of (f, g')
+//   next g = g' extrapolated, without drift if both sides are balanced; g' if nothing can be extrapolated
+// Shapes: T(f), g' (m,), f (n,), products (MEMORY, MEMORY), numbers (NUMBER_COUNT,). Launch: a work-group for
+// each problem.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_step(
     const __global uint* restrict problems, const uint only_control, const double only_radius,

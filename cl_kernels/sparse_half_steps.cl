@@ -1,15 +1,24 @@
-// A Sinkhorn iteration over the stored pairs of a plan, float64: the half-steps of half_steps.cl (the formulas
-// stand in vector_steps.cl) on the sparse kernel that sum_stored of sliced_ellpack.cl sums, in many work-groups.
+// A Sinkhorn iteration over the stored pairs of a plan, float64: the half-steps of half_steps.cl on the sparse
+// kernel that sum_stored of sliced_ellpack.cl sums, in many work-groups. The formulas, those of Algorithm 1 of
+// Sejourne, Vialard and Peyre (2022), stand in vector_steps.cl.
 //
-// Each kernel is one stage. Every work-group leaves what it has found of each sum, and in the next stage every
-// work-group joins these few numbers for itself. A half-step of f is sum_stored by row, row_softmins,
-// row_step; one of g is sum_stored by column, column_softmins, column_step, extrapolate, next_potential,
-// end_iteration. After a half-step <a, exp(-f / rho)> is the mass of the plan, so that the duals need no sum.
+// Each kernel is one stage. Every work-group leaves what it has found of each sum in `partials`, and in the next
+// stage every work-group joins these few numbers for itself. The nine launches of an iteration, after
+// prepare_changes where the host has set g:
 //
-// sum_stored takes changes of a potential since the pairs were stored, in powers of two (log2), less the
-// midrange ("middle") of the changes of the iterate before.
+//   sum_stored by row     the sums behind T(g)         sum_stored by column  the sums behind T(f)
+//   row_softmins          T(g), translation of g       column_softmins       T(f), residual, translation of f
+//   row_step              g <- g + s, f                column_step           f <- f + s, g', its differences
+//                                                      extrapolate           the step from g'
+//                                                      next_potential        the next g
+//                                                      end_iteration         its middle
+//
+// sum_stored takes changes of a potential since the pairs were stored, k (g - origin) with k = log2(e) / epsilon,
+// in powers of two (log2), less the midrange ("middle") of the changes of the iterate before. After a half-step
+// <a, exp(-f / rho)> is the mass of the plan, so that the duals need no sum.
 //
 // Shapes: n points of the rows and m of the columns, both padded to whole slices by points without mass.
+// `given_rows`, `given_columns`, `rows` and `columns` have one vector after the other, (slots, n) or (slots, m).
 // Launch: the same number of work-groups of GROUP for each stage, one for end_iteration.
 //
 // -D GIVEN_*, ROW_*, COLUMN_*, NUMBER_*  places of vectors and numbers, see sparse_half_step_slots.py
@@ -76,18 +85,20 @@ INLINE double joined(
     return group_reduced(found, largest, shared);
 }
 
-// Leave the largest term of sum_i weights_i exp(-rate potential_i) in the group, and the sum relative to it.
+// Leave the largest term of sum_i weights_i exp(-rate potential_i) in the group, and the sum relative to it;
+// that of no terms if nothing needs it. The loops are plain counted ones before the barriers of the reductions.
 INLINE void leave_log_sum(
     const __global double* log_weights, const __global double* potential, const uint size,
     const double rate, const bool needed, __global double* tops, __global double* sums,
     __local double* shared)
 {
+    const uint end = needed ? OWN_END(size) : 0;
     vdouble most = (vdouble)(-INFINITY), sum = (vdouble)(0.0);
-    for (uint i = OWN_FIRST(size); i < OWN_END(size) && needed; i += STEP)
+    for (uint i = OWN_FIRST(size); i < end; i += STEP)
         most = fmax(most, log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate));
     const double found = group_largest(largest_lane(most), shared);
     const double top = found > -INFINITY ? found : 0.0;
-    for (uint i = OWN_FIRST(size); i < OWN_END(size) && needed; i += STEP)
+    for (uint i = OWN_FIRST(size); i < end; i += STEP)
         sum += exp(log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate) - (vdouble)(top));
     leave(sum_of_lanes(sum), false, sums, shared);
     if (get_local_id(0) == 0)
@@ -118,6 +129,8 @@ INLINE double dual_part(
 }
 
 // What sum_stored takes of a new g: the host's, which is kept, or one of the columns' vectors.
+//   changes_j = k (g_j - origin_j) - middle
+// Shapes: g, changes (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void prepare_changes(
     const uint m, const uint control, const double k,
@@ -139,8 +152,10 @@ void prepare_changes(
         numbers[NUMBER_COLUMN_MIDDLE] = middle;
 }
 
-// T(g), and the sums of the translation of g. Leaves 0, 1: of the rows; 2, 3: of the columns; 4: no number
-// if a softmin is not finite.
+// T(g), and the sums of the translation of g.
+//   T(g)_i = base_i - (middle + log2 of row i's sum) / k;  <a, exp(-T(g) / (rho_a + epsilon))>,  <b, exp(-g / rho_b)>
+// Leaves 0, 1: the first sum, of the rows; 2, 3: the second, of the columns, each as its largest term and the rest;
+// 4: no number if a softmin is not finite. Shapes: T(g) (n,), g (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void row_softmins(
     const uint n, const uint m, const uint control, const double k, const double epsilon,
@@ -173,8 +188,11 @@ void row_softmins(
     leave(sum_of_lanes(unusual), false, LEFT(0, 4), shared);
 }
 
-// f, the shift of g, and the changes of f. Leaves 0, 1: the largest changes of either sign; 2: the sum of
-// the moves from the center by mass; 3, 4: the largest moves; 5, 6: <a, f> and <b, g>.
+// f, the shift of g, and the changes of f.
+//   s = translation(g, T(g));  T(g) <- T(g) - s;  f = Delta_a T(g);  g <- g + s
+//   changes_i = k (f_i - origin_i) - middle
+// Leaves 0, 1: the largest changes of either sign; 2: the sum of the moves from the center by mass; 3, 4: the
+// largest moves; 5, 6: <a, f> and <b, g>. Shapes: T(g), f, changes (n,), g (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void row_step(
     const uint n, const uint m, const uint control, const double k, const double epsilon,
@@ -233,8 +251,11 @@ void row_step(
     }
 }
 
-// T(f), the residual, and the sum of the translation of f. Leaves 0, 1: that sum; 2: the residual; 3: no
-// number if a softmin is not finite.
+// T(f), the residual, and the sum of the translation of f; the dual of (f, g) from what row_step has left.
+//   T(f)_j = base_j - (middle + log2 of column j's sum) / k;  <b, exp(-T(f) / (rho_b + epsilon))>
+//   residual = max(|f - Delta_a T(g)|, |g - Delta_b T(f)|) / epsilon, where there is mass
+// Leaves 0, 1: the sum, as its largest term and the rest; 2: the residual times epsilon; 3: no number if a softmin is
+// not finite. Shapes: T(f) (m,), f, T(g) (n,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_softmins(
     const uint n, const uint m, const double k, const double epsilon,
@@ -288,9 +309,11 @@ void column_softmins(
     }
 }
 
-// The image of g, the shift of f, and the differences of iterates. Leaves 0: the sum of the marginal;
-// 1: that of the residual's square; 2, 3: <a, f> and <b, g>; from 4 on inner products of the differences
-// with the new one, and after these with the residual.
+// The image g' of g, the shift of f, and the differences of iterates.
+//   s = translation(f, T(f));  T(f) <- T(f) - s;  g' = Delta_b T(f);  f <- f + s;  r = g' - g
+//   pi_j = b_j exp((g'_j - T(f)_j) / epsilon)
+// Leaves 0: the sum of the marginal pi; 1: that of W r^2; 2, 3: <a, f> and <b, g'>; from 4 on inner products of the
+// differences with the new one, and after these with r. Shapes: T(f), g', pi (m,), f (n,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_step(
     const uint n, const uint m, const uint control, const double epsilon,
@@ -346,8 +369,10 @@ void column_step(
     }
 }
 
-// The step from the image that the stored iterates give, and the dual. Leaves 0: the step's square; 1: its
-// sum by the marginal.
+// The step from the image that the stored iterates give, and the dual of (f, g').
+//   step = MIXED r - sum_j c_j AHEAD_j, where c solves the normal equations of the differences
+// Leaves 0: the step's square by W; 1: its sum by the marginal. Shapes: step (m,), products (MEMORY, MEMORY). Launch:
+// all work-groups, each of which solves the same small system.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void extrapolate(
     const uint m, const uint control, const double epsilon, const double inverse_rho_source,
@@ -392,8 +417,10 @@ void extrapolate(
     }
 }
 
-// The next g and its changes: the guess, or the image without one. Leaves 0, 1: the largest changes of
-// either sign.
+// The next g and its changes: the guess, or the image without one.
+//   g = g' + limit step, less its mean by the marginal if both sides are balanced
+//   changes_j = k (g_j - origin_j) - middle
+// Leaves 0, 1: the largest changes of either sign. Shapes: g, changes (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void next_potential(
     const uint m, const uint control, const double k, const double inverse_rho_source,
@@ -433,7 +460,8 @@ void next_potential(
     }
 }
 
-// The middle of the changes of g, and the inner products of the new difference, by one work-group.
+// The middle of the changes of g, (largest + least) / 2, and the inner products of the new difference.
+// Shapes: partials (2, PARTIALS, groups), products (MEMORY, MEMORY). Launch: one work-group.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void end_iteration(
     const uint control, const uint groups,

@@ -2,12 +2,22 @@
 // translation, marginals and dual (paper, 2.1 and 3.1; Problem in clmorph/transport/_solver/problem.py), and
 // Anderson's acceleration (anderson.py there). Both files do it in loops over the entries of vectors.
 //
-//   damping      Delta = rho / (rho + epsilon) = 1 / (1 + epsilon / rho), 1 if the side is balanced
-//   half-step    f = Delta T(g + s), after Algorithm 1 of Sejourne, Vialard and Peyre (2022): the best s is
-//                (log <b, exp(-g / rho_b)> - log <a, exp(-T(g) / (rho_a + epsilon))>)
-//                / (1 / (rho_a + epsilon) + 1 / rho_b), and T(g + s) = T(g) - s; likewise for g
+// Algorithm 1 of Sejourne, Vialard and Peyre (2022), unbalanced Sinkhorn in the log domain, where KL penalties
+// have aprox(p) = Delta p, line by line, with what each line is called here:
+//
+//   T(g)_i = -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)        softmin: log_sum_exp.cl, sum_stored
+//   s = (log <b, exp(-g / rho_b)> - log <a, exp(-T(g) / (rho_a + epsilon))>)
+//       / (1 / (rho_a + epsilon) + 1 / rho_b)                          translation: the best g + s of all s
+//   g <- g + s,  T(g) <- T(g) - s                                      so T(g + s) = T(g) - s
+//   f <- -aprox(-T(g)) = Delta_a T(g)                                  half-step
+//   the same with f and g, a and b exchanged                           T(f), g' = Delta_b T(f), f <- f + s
+//   stop by |f - Delta_a T(g)|, |g - Delta_b T(f)|                     residual, in units of epsilon
+//
+//   Delta = rho / (rho + epsilon) = 1 / (1 + epsilon / rho), 1 if the side is balanced
 //   marginal     pi_i = a_i exp((f_i - T(g)_i) / epsilon)
 //   dual         -epsilon m(pi) + sum over both sides of <a, rho (1 - exp(-f / rho))>, <a, f> if balanced
+//   next g       g' + limit (MIXED r - sum_j c_j AHEAD_j), r = g' - g: Anderson's acceleration, where c solves
+//                (D^T W D) c = D^T W r, D the differences of residuals, W the first marginal
 //
 // Launch: work-groups of GROUP; item l takes the entries l * LANES + k * GROUP * LANES, k = 0, 1, ...,
 // of those of its group. In a launch each item reads only entries of vectors that it wrote itself, so that
