@@ -198,6 +198,12 @@ from .transport.gradient import (
 from .transport.gradient import (
     gradient as gradient,
 )
+from .transport.matching import (
+    Assignment as Assignment,
+)
+from .transport.matching import (
+    assignment as assignment,
+)
 from .transport.plan import (
     Plan as Plan,
 )
@@ -223,6 +229,7 @@ from .transport.sinkhorn_batch import (
 __all__ = [
     "__version__",
     "Archive",
+    "Assignment",
     "Barycenter",
     "Barycentric",
     "ClmorphError",
@@ -258,6 +265,7 @@ __all__ = [
     "Recolored",
     "WeightedPoints",
     "apply_lut",
+    "assignment",
     "barycenter",
     "barycentric_plan",
     "batch",

@@ -25,19 +25,18 @@ from clmorph.pipeline.keywords import RearrangeKeywords
 from clmorph.pipeline.prepare import as_images
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.rearrangement import Rearrangement
-from clmorph.transport.assignment import Indices, assign
-from clmorph.transport.assignment_bound import lower_bound
+from clmorph.transport.assignment import Indices
+from clmorph.transport.auction import Costs, solved
 from clmorph.transport.block_potentials import transport_pixels
+from clmorph.transport.matching import warn_unless_reached
 from clmorph.transport.plan import Plan
 
 #: Length scale of the entropic plan from which the search begins, and its tolerance.
-BLUR, TOLERANCE = 0.015, 0.5
+BLUR, TOLERANCE = 0.025, 0.5
 #: Above this color weight costs grow by its square, and so does epsilon; they would overflow.
 LARGE_WEIGHT = 4.0
 #: Largest number of blocks along the longer side between which that plan is solved.
 SOLVE_SIZE = 256
-#: epsilon of the lower bound, in units of the plan's: the bound loses epsilon log N.
-SHARPER = 1 / 500
 #: Kernel width of `Rearrangement.sums`, in pixels.
 SIGMA = 0.5
 
@@ -54,8 +53,7 @@ def rearrange(
 ) -> Rearrangement:
     """Move the pixels of image A, each with its own color, so that they form image B.
 
-    Balanced transport is rounded to a permutation, which local exchanges improve until its cost is
-    within `gap` of a proven lower bound, or does not fall any more.
+    The permutation is the cheapest one, but for a share `gap` of the cost, which is proven.
 
     Parameters
     ----------
@@ -81,6 +79,11 @@ def rearrange(
         If an argument cannot be used.
     DeviceError
         If the device cannot be found or fails.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If the gap is not reached; the bound is proven in any case.
 
     Examples
     --------
@@ -114,15 +117,13 @@ def arranged(
         *blocks, blur, TOLERANCE, operations, lambda share: report("transport", share)
     )
     potentials = found.potentials
-    bound = lower_bound(
-        source.points, target.points, potentials.g, SHARPER * potentials.epsilon, operations,
-        potentials.f,
+    solution = solved(
+        Costs(source.points, target.points, None), potentials.g, potentials.epsilon, options.gap,
+        operations, options.seed, lambda share: report("pixels", share),
     )  # fmt: skip
-    assignment, cost = assign(
-        source.points, target.points, destinations=found.destinations, g=potentials.g,
-        enough=(1 + options.gap) * bound, seed=options.seed,
-        report=lambda share: report("pixels", share),
-    )  # fmt: skip
+    warn_unless_reached(solution, options.gap)
+    assignment, n_pixels = solution.columns, len(source)
+    cost, bound = solution.cost / n_pixels, solution.bound / n_pixels
     # Frames are float32, so that the last one is exact; cost and bound are those of what was given.
     begin, plan = _measure(first.astype(np.float32).astype(float), options), _as_plan(assignment)
     end = _moved(begin, assignment)

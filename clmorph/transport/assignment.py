@@ -1,4 +1,6 @@
-"""A permutation that transports one cloud of equal masses to another one at a low cost.
+"""A permutation that transports one cloud of equal masses to another one at a low cost, quickly.
+
+`clmorph.transport.auction` finds the cheapest one, with a proof; this is for pictures of blocks.
 
 The cost of a permutation s is the mean of |X_i - Y_s(i)|^2 / 2. The search begins with a binary
 space partition (Genest, Courty, Coeurjolly, "BSP-OT", 2025): both clouds are halved by the same
@@ -20,7 +22,6 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from clmorph._shared.progress import Report, Share
 from clmorph._shared.typing import Array
 
 Indices = NDArray[np.intp]
@@ -30,10 +31,9 @@ Indices = NDArray[np.intp]
 FIRST_BLOCKS, BLOCK = (32, 32, 64, 64), 128
 #: Largest number of rounds.
 ROUNDS = 200
-#: A round that lowers the cost by less than the first share of it (the default), or by less than
-#: the second share of what it is above the cost that is enough, is idle; several in a row end the
-#: search.
-SMALLEST_GAIN, SLOWEST_GAIN, PATIENCE = 1e-5, 0.04, 3
+#: A round that lowers the cost by less than a share of it (this is the default) is idle; several in
+#: a row end the search.
+SMALLEST_GAIN, PATIENCE = 1e-5, 3
 #: Parts into which a level of the search for near pairs cuts each part.
 WAYS = 4
 #: Largest number of threads; SciPy's solver of a block releases the interpreter's lock.
@@ -52,11 +52,8 @@ def assign(
     target: Array,
     *,
     destinations: Array | None = None,
-    g: Array | None = None,
-    enough: float = 0.0,
     least_gain: float = SMALLEST_GAIN,
     seed: int = 0,
-    report: Report = lambda share: None,
 ) -> Assignment:
     """Assign points to points so that half the mean squared distance is small.
 
@@ -66,17 +63,10 @@ def assign(
     destinations : (N, D) array, optional
         Where each source goes about, such as the means of an entropic plan; the partition then
         begins from there instead of from the sources.
-    g : (N,) array, optional
-        Potentials of the targets, in cost units. The nearer they are to optimal ones, the less work
-        is the exact assignment of a block; they do not change its cost.
-    enough : float
-        The search ends at this cost.
     least_gain : float
         The search ends when rounds lower the cost by a smaller share.
     seed : int
         Seed of the random directions.
-    report : callable
-        Called with the share of the search that is done.
 
     Returns
     -------
@@ -95,23 +85,20 @@ def assign(
     permutation = partitioned(source if destinations is None else destinations, target, rng)
     # Points that are already in place keep it, as in images that are nearly the same.
     permutation = merged(permutation, np.arange(n), source, target)
-    cost = first = permutation_cost(source, target, permutation)
+    cost = permutation_cost(source, target, permutation)
     # |X - Y|^2 / 2 is a term of the row, which changes no assignment, plus height_j - X . Y.
-    height = np.square(target).sum(axis=1) / 2 - (0.0 if g is None else g)
+    height = np.square(target).sum(axis=1) / 2
     idle = 0
     with ThreadPoolExecutor(min(MAX_THREADS, os.cpu_count() or 1)) as pool:
         for number in range(ROUNDS):
-            if idle >= PATIENCE or cost <= enough:
+            if idle >= PATIENCE:
                 break
-            report(_share(number, cost, first, enough))
             size = FIRST_BLOCKS[number] if number < len(FIRST_BLOCKS) else BLOCK
             blocks = _near_pairs(source, target, permutation, size, rng)
             for rows, columns in pool.map(_Exchange(source, target, permutation, height), blocks):
                 permutation[rows] = columns
             before, cost = cost, permutation_cost(source, target, permutation)
-            gain = max(least_gain * before, SLOWEST_GAIN * (before - enough) if enough else 0.0)
-            idle = idle + 1 if before - cost < gain else 0
-    report(1.0)
+            idle = idle + 1 if before - cost < least_gain * before else 0
     return Assignment(permutation, cost)
 
 
@@ -199,11 +186,3 @@ def _sorted(order: Indices, points: Array, across: Array, part: Indices) -> Indi
     low, high = along.min(), along.max()
     # One key for both, which NumPy sorts several times as fast as two.
     return order[np.argsort(part + (along - low) * (0.999 / (high - low) if high > low else 0.0))]
-
-
-def _share(number: int, cost: float, first: float, enough: float) -> Share:
-    """Return the progress of the search, whose cost falls about geometrically to its end."""
-    done = number / ROUNDS
-    if enough > 0:
-        done = max(done, 1 - np.log(cost / enough) / np.log(max(first / enough, 1 + 1e-12)))
-    return Share(min(max(done, 0.0), 1.0), f"round {number + 1}")

@@ -245,6 +245,10 @@ def cases() -> dict[str, dict[str, Any]]:
             "gradient": True,
         },
         "gradient": planned,
+        "assignment": {
+            "x": some["grid"], "y": some["grid"][::-1], "weights": np.ones(len(some["grid"])),
+            "gap": 0.0, "seed": 0, "backend": "numpy", "progress": Idle(),
+        },
         "barycenter": STRENGTHS | {
             "measures": [some["source"], some["target"]], "weights": [1.0, 2.0], "support": 3,
             "tol": 0.1, "max_iter": 3, "backend": "numpy", "fixed": False, "debias": True,
