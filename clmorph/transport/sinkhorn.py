@@ -205,11 +205,11 @@ def solve(
     pair: (source, target), its measures; g: (M,), potentials at which the iteration begins; keep:
     whether the result keeps the near pairs, if the problem has such.
     """
-    limit = choose_truncation(truncation, tol, is_large(pair))
+    limit = choose_truncation(truncation, tol, is_large(pair, operations))
     problem = Problem.between(operations, *pair, given.rho, limit, clouds)
     options = given.blur, tol, max_iter, precision, report
     ended: Outcome | Multiscale
-    many = is_large(pair) and max_iter >= SHORT
+    many = is_large(pair, operations) and max_iter >= SHORT
     if g is None and multiscale is not True and is_symmetric(pair, given.rho):
         ended = solve_symmetric(problem, *options).alone()
     elif many if multiscale == "auto" else multiscale:

@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from plain import sinkhorn
 
 import clmorph
+from clmorph.backends.numpy import NumPyOperations
 from clmorph.pipeline.pair_count import predict_pairs
+from clmorph.transport._solver import checks
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import LEAST_RESERVE, Softmin
+from clmorph.transport._solver.softmin import LEAST_RESERVE, Softmin, many_pairs_factor
 from clmorph.transport.regularization import regularization
 
 MANY = settings(max_examples=60, deadline=None, derandomize=True)
@@ -226,6 +228,22 @@ def test_divergences_of_many_points_are_truncated_and_stay_bounded(device, monke
         assert part.converged
     assert got.interval[0] <= want.interval[1]
     assert want.interval[0] <= got.interval[1]
+
+
+@pytest.mark.parametrize(
+    ("rate", "factor"), [(0.0, 1), (4e9, 1), (1e11, 8), (3e11, 64), (1.2e12, 64), (1e14, 64)]
+)
+def test_a_fast_card_sums_more_pairs_without_truncation(monkeypatch, rng, rate, factor):
+    """By its recorded rate; a processor, whatever its rate is, does as before."""
+    operations = NumPyOperations()
+    operations.pairs_per_second = rate
+    assert many_pairs_factor(operations) == 1
+    operations.on_processor = False
+    assert many_pairs_factor(operations) == factor
+    monkeypatch.setattr(checks, "MANY_PAIRS", 301)
+    source, target = pair_of("picture", rng, 40, 60)
+    found = sinkhorn(source, target, 0.2, 0.3, 1e-2, backend=operations)
+    assert (found.truncation is None) == (factor > 1)
 
 
 @pytest.mark.parametrize("value", ["much", -1.0, 0.0, 0.5, np.nan, [1e-4], 1e-3, 0.09])

@@ -15,7 +15,7 @@ from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.coarse_grid import expanded
 from clmorph.transport._solver.iteration import TOP, Iteration
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin
+from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin, many_pairs_factor
 from clmorph.transport._solver.state import State
 
 #: Side of the clusters at a level, in units of its blur.
@@ -110,7 +110,8 @@ def anneal(
 
 def _level_truncation(problem: Problem, rows: int, columns: int) -> float | None:
     """Return the truncation at a level of this many points; None takes all pairs."""
-    if problem.truncation is None or rows * columns < MANY_PAIRS:
+    many = many_pairs_factor(problem.operations) * MANY_PAIRS
+    if problem.truncation is None or rows * columns < many:
         return None
     return LEVEL_TRUNCATION
 

@@ -9,7 +9,7 @@ from clmorph.backends.interface import MAX_SPREAD, Operations
 from clmorph.errors import DeviceError, InputError
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import largest_cost
-from clmorph.transport._solver.softmin import MANY_PAIRS
+from clmorph.transport._solver.softmin import MANY_PAIRS, many_pairs_factor
 from clmorph.transport.options import AlgorithmOptions, SolverOptions
 from clmorph.transport.regularization import Regularization
 
@@ -39,9 +39,10 @@ def check_solver_options(
     )
 
 
-def is_large(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
+def is_large(pair: tuple[AnyMeasure, AnyMeasure], operations: Operations | None = None) -> bool:
     """Return whether a problem is solved through coarser ones, with truncated sums."""
-    return len(pair[0]) * len(pair[1]) >= MANY_PAIRS
+    factor = 1 if operations is None else many_pairs_factor(operations)
+    return len(pair[0]) * len(pair[1]) >= factor * MANY_PAIRS
 
 
 def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:

@@ -41,6 +41,7 @@ from clmorph.transport._solver.softmin import (
     RESERVE,
     SETTLED_RESERVE,
     Softmin,
+    many_pairs_factor,
 )
 from clmorph.transport._solver.state import (
     ROUNDING_MARGIN,
@@ -199,7 +200,8 @@ class Multiscale:
         operations, rho, truncation = points.operations, points.rho, points.truncation
         clusters = source.measure, target.measure
         coarser = None
-        if truncation is not None and len(clusters[0]) * len(clusters[1]) >= MANY_PAIRS:
+        many = many_pairs_factor(operations) * MANY_PAIRS
+        if truncation is not None and len(clusters[0]) * len(clusters[1]) >= many:
             coarser = COARSER * truncation
         problem = CorrectedProblem.between(operations, *clusters, rho, coarser)
         missing = None if truncation is None else max(truncation, PROLONGATION_TRUNCATION)

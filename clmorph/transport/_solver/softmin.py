@@ -1,5 +1,6 @@
 """The soft minimum between two clouds, summed over the pairs with notable terms."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from clmorph.errors import InputError
 #: Problems with at least this many pairs of points are solved through coarser problems, and with
 #: truncated sums, unless the caller chooses otherwise.
 MANY_PAIRS = 1 << 27
+#: Devices other than processors sum as many times more pairs in the time in which a processor, of
+#: this many pairs a second, sums so many.
+USUAL_RATE = 5e9
 #: Near pairs are chosen for a share of the truncation, so that they remain valid while potentials
 #: move. The constants are the first share, its largest factor after each move that was too far, and
 #: the least share. A share below the factor is squared.
@@ -24,6 +28,17 @@ SETTLED, SETTLED_RESERVE = 3e-2, 1e-6
 ROUNDING_SHARE = 0.3
 #: After this many successive choices that leave out too much, all pairs are summed.
 ATTEMPTS = 3
+
+
+def many_pairs_factor(operations: Operations) -> int:
+    """Return by which factor `MANY_PAIRS` are more on a device: 1, 8 or 64.
+
+    The steps are wide, so that a repeated measurement of the device rarely changes it.
+    """
+    if operations.on_processor:
+        return 1
+    ratio = max(1.0, operations.pairs_per_second / USUAL_RATE)
+    return int(8 ** min(2, round(math.log(ratio, 8))))
 
 
 class Softmin:
