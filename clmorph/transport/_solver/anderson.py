@@ -1,10 +1,8 @@
 """Anderson acceleration of a fixed-point iteration x <- G(x).
 
-Source: Anderson, "Iterative procedures for nonlinear integral equations" (1965); Walker and
-Ni, "Anderson acceleration for fixed-point iterations" (2011). Near its solution a Sinkhorn
-iteration is self-adjoint in the inner product weighted by the marginal, so there this is a
-Krylov method. It needs no factor to be chosen, as over-relaxation does, and it is faster than the
-best factor where only a few modes are slow.
+Sources: Anderson, "Iterative procedures for nonlinear integral equations" (1965); Walker and Ni,
+"Anderson acceleration for fixed-point iterations" (2011). Near its solution a Sinkhorn iteration is
+self-adjoint in the inner product weighted by the marginal, so there this is a Krylov method.
 """
 
 from typing import Any
@@ -47,11 +45,7 @@ class TrustRegion:
 
 
 class Anderson:
-    """Anderson acceleration, which stores the last iterates and combines them.
-
-    With the reductions `Segments` it accelerates many problems, each with a memory and a trust
-    region of its own. Truth values then are arrays, one for each problem.
-    """
+    """Anderson acceleration, of one problem or of many, whose truth values are arrays, (B,)."""
 
     def __init__(self, of: Reductions = WHOLE) -> None:
         self._of = of
@@ -86,11 +80,7 @@ class Anderson:
         self._stored[which] = False
 
     def take(self, problems: IntArray, points: Any, of: Reductions) -> None:
-        """Go on with some of the problems.
-
-        problems, points: indices of the problems, and of their points; of: those over these
-        problems.
-        """
+        """Go on with some of the problems, which have these points and reductions."""
         self._of = of
         self._region.take(problems)
         self._begun, self._stored = self._begun[problems], self._stored[problems]
@@ -108,12 +98,11 @@ class Anderson:
     def extrapolate(
         self, x: Array, image: Array, weights: Array, which: Any = True
     ) -> tuple[Array, Any]:
-        """Store the iterate x with its image G(x), and return the next iterate.
+        """Store the iterate x, (n,), with its image G(x), and return the next one and if it is new.
 
-        x, image: (n,); weights: (n,), weights of the inner product; only those of a problem's first
-        iterate are used; which: the problems whose iterates these are; others begin anew with their
-        next iterate; Result: (n,), the next iterate; Result: whether it was extrapolated, for which
-        two iterates must be stored; else it is `image`.
+        It is the image until a problem has two iterates. The weights of a problem's first
+        iterate define its inner product. Problems that `which` leaves out begin anew with
+        their next iterate.
         """
         of, residual = self._of, image - x
         begun, which = self._begun, np.broadcast_to(which, of.shape)
@@ -172,12 +161,10 @@ def mixed(of_image: Any, of_residual: Any) -> Any:
 def limited_step(
     of: Any, residual: Any, correction: Any, weights: Any, radius: Any
 ) -> tuple[Any, Any, Any]:
-    """Return the step from an image, and the factor that keeps it in the trust region.
+    """Return a step from an image, the factor that keeps it in the trust region, and if it is cut.
 
-    residual: (n,), the image less its iterate; correction: (n,), the stored differences, combined
-    by their coefficients; weights: (n,), weights of the inner product; radius: radius of the trust
-    region, in steps of the plain iteration; step: (n,); factor: at most 1; cut: whether it is less
-    than 1.
+    The residual (n,) is the image less its iterate; the correction (n,) combines stored
+    differences.
     """
     step = (MIXING - 1) * residual - correction
     longest = radius * _norm(of, residual, weights)

@@ -1,6 +1,5 @@
 """Annealing of large problems: larger blurs are solved over larger clusters of points.
 
-At each level the blur is twice that of the next finer one, and the clusters have about its size.
 Source of the idea: Schmitzer, "Stabilized sparse scaling algorithms for entropy regularized
 transport problems" (2019).
 """
@@ -36,12 +35,7 @@ LEVEL_TRUNCATION, LEVEL_RESERVE, FAR_RESERVE = 1e-2, 1e-10, 1e-20
 
 
 class _Level(NamedTuple):
-    """A larger blur, and the clusters of the points of the next finer level.
-
-    pair: (source, target), measures of the clusters; clusters: (source, target) or None, the
-    clusters of the finer level's points; None if each point is its own; points: (source, target),
-    measures of the finer level.
-    """
+    """A larger blur, with the clusters of the points of the next finer level, if they are fewer."""
 
     blur: float
     pair: tuple[AnyMeasure, AnyMeasure]
@@ -65,12 +59,10 @@ def anneal(
     blur: float,
     max_iter: int,
 ) -> Array:
-    """Return initial potentials g of a problem, from larger blurs over larger clusters.
+    """Return initial potentials g, (M,), from larger blurs over larger clusters.
 
-    problem: the problem of the points; pair: (source, target), measures of the finest problem: the
-    points, or clusters of them; finest: the problem of `pair`; its softmins receive first guesses;
-    blur: blur of the finest problem; max_iter: largest number of iterations at each level; Result:
-    (M,).
+    The measures `pair` are those of the problem `finest`: the points, or clusters of them. Its
+    softmins receive first guesses.
     """
     top = TOP * np.sqrt(2 * problem.largest_cost)
     levels: list[_Level] = []
@@ -135,8 +127,8 @@ def _prolong(
 ) -> list[Array]:
     """Evaluate the softmins of coarse potentials at the points of a finer problem.
 
-    Near pairs are chosen by the expansion around the clusters, which does not overestimate sums. At
-    a few points it is off by tens of nats, too much to take the place of the softmins.
+    Near pairs are chosen by the expansion around the clusters. At a few points that is off by
+    tens of nats, too much to take the place of the softmins.
     """
 
     def at_points(

@@ -129,10 +129,7 @@ def _problem(
 
 
 def some(problem: Problem, problems: IntArray, uploaded: bool = True) -> Problem:
-    """Return some of many problems, by their numbers, (k,), ascending; the only one as it is.
-
-    Without clouds (`uploaded`) they have no softmins.
-    """
+    """Return some of many problems, or the only one; without softmins unless `uploaded`."""
     if len(problems) == np.size(problem.masses[0]) or not problem.of_rows.shape:
         return problem
     operations, symmetric = problem.operations, problem.to_columns is problem.to_rows
@@ -162,10 +159,7 @@ def certificate_of(
     roundoffs: tuple[float, float],
     epsilon: float,
 ) -> Certificate:
-    """Return the certificate of one of many problems, from (f, g), (T(g), T(f)) and their bounds.
-
-    The potentials and softmins are its own; it needs no clouds.
-    """
+    """Return the certificate of one of many problems, from (f, g), (T(g), T(f)) and bounds."""
     weights, logarithms = (problem.a, problem.b), (problem.log_a, problem.log_b)
     rows, columns = (
         Side(

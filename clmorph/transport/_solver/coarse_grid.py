@@ -1,8 +1,4 @@
-"""Coarse problems that approximate a large one, by clusters or by pairs of notable mass.
-
-Values are restricted to a coarse problem by means over the points of a cluster, and its solution is
-prolonged to the points by a softmin.
-"""
+"""Coarse problems that approximate a large one, by clusters or by pairs of notable mass."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple, Protocol
@@ -114,10 +110,7 @@ class Restriction(Protocol):
 
 
 class Reordering:
-    """The restriction to a coarse problem that has the same points in another order.
-
-    order: (N,), the point that stands at each place of the coarse problem.
-    """
+    """The restriction to a coarse problem that has the points in another order, (N,)."""
 
     def __init__(self, order: IntArray) -> None:
         self._order = order
@@ -142,11 +135,7 @@ class CoarseGrid(NamedTuple):
     to_target: Softmin  #: prolongs from its rows to the points of the target
 
     def prolong(self, new_f: Array, old_f: Array, epsilon: float) -> Array:
-        """Return the change of T(f) at the points of the target: (M,) array.
-
-        new_f, old_f: potentials of the coarse problem after and before its solve, cost units;
-        epsilon: cost units.
-        """
+        """Return the change of T(f) at the points of the target, (M,), from f of the grid."""
         change: Array = self.to_target(new_f, epsilon) - self.to_target(old_f, epsilon)
         return self.target.points_of(change) if isinstance(self.target, Reordering) else change
 
@@ -156,12 +145,9 @@ def expanded(
 ) -> Array:
     """Estimate T(potential) at points from its value and gradient at the centers of their clusters.
 
-    The gradient of T at a center X is X less the mean destination of its row. As |x|^2 / 2 - T(x)
-    is convex, the result is not below T, but for rounding: sums are not overestimated, and near
-    pairs that are chosen by the result leave out no more than they may.
-
-    softmin: T, with the clusters as its rows; potential: array, cost units; epsilon: float, cost
-    units; clusters: clusters of the points; measure: the points.
+    The clusters are the rows of the softmin. The gradient of T at a center X is X less the mean
+    destination of its row. As |x|^2 / 2 - T(x) is convex, the result is not below T, but for
+    rounding: near pairs that are chosen by it leave out no more than they may.
     """
     values, means = softmin.operations.barycentric_projection(
         softmin.rows, softmin.columns, potential, epsilon, False, softmin.near
@@ -178,12 +164,9 @@ def expanded(
 class StoredSoftmin(Softmin):
     """The soft minimum over stored pairs, whose vectors have the order of `StoredPairs.orders`.
 
-    like: the softmin over all pairs, which has the clouds; stored: pairs of the plan of two
-    potentials; by_column: whether it sums over the plan's rows; weights: (N,), (M,), masses of the
-    rows and of the columns; potential, softmin: potential of the columns for which the pairs were
-    stored, and its softmin. Rows without a stored pair keep this softmin; start: (N,), potential of
-    the rows for which the pairs were stored, plus epsilon times the logarithms of the masses of the
-    rows.
+    The pairs are those of the plan of two potentials: that of the columns, (M,), and that of
+    the rows. `start` is the latter plus epsilon times the logarithms of the rows' masses, (N,).
+    Rows without a stored pair keep their softmin, (N,).
     """
 
     def __init__(
@@ -216,11 +199,7 @@ class StoredSoftmin(Softmin):
         return softmin
 
     def vectors(self, masses: Array, correction: Array | float, origin: Array) -> StoredVectors:
-        """Return what an iteration on the device has of the rows.
-
-        masses: (N,), the rows' masses; correction: (N,) or float, the correction of this softmin;
-        origin: (N,), the rows' potential for which the pairs were stored.
-        """
+        """Return what an iteration on the device has of the rows, whose softmin is corrected."""
         return StoredVectors(masses, self._start + correction, self._softmin + correction, origin)
 
     def rounding(
@@ -235,12 +214,7 @@ class StoredSoftmin(Softmin):
 
 
 class StoredProblem(CorrectedProblem):
-    """A problem over stored pairs; it holds near the potentials for which they were stored.
-
-    like: the problem over all pairs; softmins: (to_rows, to_columns), the operators over the stored
-    pairs, with their masses; choice: the choice of these pairs; plan_mass: the mass of the plan for
-    which the pairs were stored; epsilon: cost units.
-    """
+    """A problem over stored pairs; it holds near the potentials for which they were stored."""
 
     center: Array
 
@@ -258,11 +232,10 @@ class StoredProblem(CorrectedProblem):
         self._started: ResidentIteration | None = None
 
     def start_iteration(self) -> ResidentIteration | None:
-        """Return an iteration on the device, or None.
+        """Return an iteration on the device, which takes the memory of the one before, or None.
 
-        The result is None where the backend has no iteration over stored pairs, and where closed
-        forms of the penalties would have too few digits. An iteration that this function returned
-        before must no longer be used, because the next one takes its memory.
+        None is for backends without it, and where closed forms of the penalties have too
+        few digits.
         """
         enough = dual_rounding(self, self._epsilon, False) / PLAN_CHANGE
         for mass, inverse in zip(self.masses, self.inverse_rho, strict=True):
@@ -314,8 +287,8 @@ def stored_grid(
 ) -> CoarseGrid | None:
     """Return the problem over the pairs of notable mass near (f, g); None if they are too many.
 
-    f, g: (N,) and (M,); softmins: (T(g), T(f)), cost units, as f and g; epsilon: cost units; most:
-    largest number of pairs to store; choices: the first one that has few enough pairs is taken.
+    Of the choices the first one that has at most `most` pairs is taken. The softmins are T(g),
+    T(f).
     """
     near = problem.to_rows.near, problem.to_columns.near
     for choice in choices:

@@ -1,8 +1,8 @@
 """The schedule of the GeomLoss library, with which its published results can be reproduced.
 
-The schedule has no convergence test. The blur falls from the diameter to the requested blur, with
-one averaged step at each blur, and one last step follows. Source: Feydy et al., "Interpolating
-between optimal transport and MMD using Sinkhorn divergences" (2019), and the GeomLoss library.
+The blur falls from the diameter to the requested blur, with one averaged step at each blur; there
+is no convergence test. Source: Feydy et al., "Interpolating between optimal transport and MMD using
+Sinkhorn divergences" (2019), and the GeomLoss library.
 """
 
 from collections.abc import Callable
@@ -14,10 +14,7 @@ from clmorph.transport._solver.problem import Problem
 
 
 def blurs(diameter: float, blur: float, scaling: float) -> list[float]:
-    """Return the schedule: the diameter twice, then blurs that fall by `scaling`, then `blur`.
-
-    diameter: diameter of the joint bounding box.
-    """
+    """Return the schedule: the diameter twice, then blurs that fall by `scaling`, then `blur`."""
     if diameter <= 0.0:
         return [blur, blur]
     # The schedule is computed from logarithms of epsilon, as in GeomLoss, because one step more or

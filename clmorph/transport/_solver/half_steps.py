@@ -1,7 +1,6 @@
-"""The arithmetic between two softmins of an iteration, over vectors of any kind.
+"""The arithmetic between two softmins of an iteration, on the host.
 
-``cl_kernels/half_steps.cl`` and ``sparse_half_steps.cl`` do the same arithmetic on a device,
-without the host; ``cl_kernels/vector_steps.cl`` has their formulas.
+``cl_kernels/half_steps.cl`` and ``sparse_half_steps.cl`` do the same on a device.
 """
 
 from typing import Any, NamedTuple
@@ -24,10 +23,7 @@ class RowStep(NamedTuple):
 
 
 class ColumnStep(NamedTuple):
-    """Potentials after the half-step of g, with T(f), and what belongs to them.
-
-    The residual is that before the half-step.
-    """
+    """Potentials after the half-step of g, with T(f), and the residual before it."""
 
     f: Any
     image: Any
@@ -38,10 +34,7 @@ class ColumnStep(NamedTuple):
 
 
 def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any, enough: Any = 0.0) -> RowStep:
-    """Maximize the dual over f and a shift of g, given T(g) (paper, 3.1).
-
-    g, softmin: (M,) and (N,), g and T(g).
-    """
+    """Maximize the dual over f and a shift of g, given T(g), (N,) (paper, 3.1)."""
     f, g_shifted, t_rows, log_mass = problem.update_f(g, softmin, epsilon)
     of_rows = problem.of_rows
     mass = _exp(log_mass) if np.any(enough) else of_rows.sum(problem.row_mass(f, t_rows, epsilon))
@@ -52,10 +45,7 @@ def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any, enough: Any =
 def column_step(
     problem: Problem, before: RowStep, softmin: Any, epsilon: Any, enough: Any = 0.0
 ) -> ColumnStep:
-    """Maximize the dual over g and a shift of f, given T(f) (paper, 3.1).
-
-    before: the half-step of f; softmin: (M,), T(f).
-    """
+    """Maximize the dual over g and a shift of f, given T(f), (M,) (paper, 3.1)."""
     residual = problem.residual(before.f, before.g, before.t_rows, softmin, epsilon)
     image, f, t_columns, log_mass = problem.update_g(before.f, softmin, epsilon, before.log_mass)
     mass = problem.column_mass(image, t_columns, epsilon)
@@ -70,12 +60,10 @@ def _exp(log_mass: Any) -> Any:
 
 
 def without_drift(problem: Problem, guess: Any, image: Any, column_mass: Any) -> Any:
-    """Return extrapolated potentials without the constant that they have added to the image.
+    """Return extrapolated potentials, (M,), without the constant that they have added to the image.
 
-    Balanced potentials are unique only up to a constant. Nothing bounds an extrapolation along it,
-    and at a large constant float64 loses the other digits.
-
-    guess, image, column_mass: (M,).
+    Nothing bounds an extrapolation along a constant, of which balanced potentials are free, and
+    at a large one float64 loses the other digits.
     """
     if any(problem.inverse_rho):
         return guess

@@ -90,22 +90,19 @@ class Reached:
 class Iteration:
     """The solve of one problem, or of many, by Sinkhorn's iteration, annealed and extrapolated.
 
-    problem: one problem, or B problems made by `problem_of_many`; below, B is 1 for one problem;
-    blur: blur of the last level; tol: residual to reach there, in units of epsilon; max_iter:
-    largest number of iterations, those of the annealing included; one iteration takes `softmins`;
-    precision: {"auto", "float32", "float64"}; report: a function that is called with the share of
-    the work that is done; certify: whether the last softmins are `Problem.bounded_softmins`, which
-    a certificate needs; patience: iterations without a new best residual after which the iteration
-    ends, if rounding explains that; exact: whether the levels before the last are solved to `tol`,
-    too, and all with exact sums: where groups of points stand far apart, mass finds its way between
-    them at large blurs alone; steps: a function that returns the steps of a problem; softmins:
-    softmins of an iteration; n_softmin: softmins of iterations before these, which count; f, g,
-    t_rows, t_columns: (N,), (M,), (N,) and (M,), the result: potentials and their softmins;
-    residual: (B,); roundoffs: (2, B), the bounds of the rounding of T(g) and T(f), in nats; status:
-    (B,) of {"converged", "max_iter", "precision"}; rounding: (B,), largest residual that rounding
-    alone can cause, in units of epsilon; precise: (B,), whether float32 exponents were too coarse
-    for `tol`; n_softmin: (B,), number of softmins of iterations; those that only measure or certify
-    do not count.
+    The last level has this blur; its residual shall be `tol`, in units of epsilon, after at
+    most `max_iter` iterations, those of the annealing included. One of them takes `softmins`,
+    of which `n_softmin` were before. `certify` makes the last softmins
+    `Problem.bounded_softmins`. After `patience` iterations without a new best residual the
+    iteration ends, if rounding explains that. With `exact` all sums are exact, and the levels
+    before the last are solved to `tol`, too: where groups of points stand far apart, mass finds
+    its way between them at large blurs alone.
+
+    The result is potentials and their softmins, f, t_rows (N,) and g, t_columns (M,), and for
+    each of B problems, or one, the residual, the bounds `roundoffs` of the rounding of T(g) and
+    T(f) in nats, (2, B), the status {"converged", "max_iter", "precision"}, the largest
+    residual that rounding alone can cause, whether float32 exponents were too coarse
+    (`precise`), and the softmins of iterations.
     """
 
     def __init__(
@@ -298,9 +295,9 @@ class Iteration:
     ) -> Reached:
         """Iterate at one epsilon until residuals are `tol` or `limit` iterations are over.
 
-        A problem also ends where its residual no longer falls and rounding explains that. With
-        `leave`, which means that better exponents can take over, it ends there for any reason:
-        the residual of a slow problem falls by less in an iteration than float32 resolves.
+        A problem also ends where its residual no longer falls and rounding explains that,
+        or, with `leave`, for any reason: better exponents then take over, and a slow
+        problem falls by less than float32 resolves.
         """
         problem = some(self.problem, numbers)
         of: Any = problem.of_rows
@@ -384,10 +381,7 @@ class Iteration:
 
 
 def may_sum_exactly(problem: Problem, status: Any, precision: str, tol: float, error: Any) -> Any:
-    """Return whether sums in float32 have ended a solve, whose tolerance exact sums can reach.
-
-    error: bounds of the errors of `bounded_softmins`.
-    """
+    """Return whether sums in float32 have ended a solve, whose tolerance exact sums can reach."""
     operations = problem.operations
     coarse = operations.sum_roundoff > operations.precise_roundoff and not problem.exact_sums
     possible = coarse and precision == "auto" and problem.truncation is None
@@ -395,10 +389,7 @@ def may_sum_exactly(problem: Problem, status: Any, precision: str, tol: float, e
 
 
 def annealing(problem: Problem, blur: float, top: float, max_iter: int) -> list[float]:
-    """Return the blurs of the annealing, falling, without the last one.
-
-    blur: the last blur; top: the blur below which it begins.
-    """
+    """Return the blurs of the annealing, falling, below `top`, without the last one."""
     slowest = np.prod(problem.damping(blur**2))
     if slowest <= EASY or max_iter < SHORT:
         return []

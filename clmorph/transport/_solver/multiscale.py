@@ -1,19 +1,15 @@
 """Solve large problems through coarser ones.
 
-Annealing in the blur and refinement in space go together (`_solver.annealing`): at each blur,
-points are joined into clusters of about its size (`measures.cluster`), and a softmin, evaluated
-at the points of the next finer problem, prolongs the potentials to it. At the last blur the problem
-of the points themselves is solved in cycles of a two-grid method. One iteration over the points
-shows by how much the softmins of the clusters are off. The problem of the clusters is then solved
-with this correction, and the change of its solution is prolonged to the points. Each cycle leaves
-a few percent of the residual, so a few iterations over the points are enough. Their residual
-decides when the solve ends. Where the blur is so small that clusters save little, they give first
-potentials at most, and the problem of the pairs with notable mass takes their place
-(`_solver.coarse_grid`).
+Annealing in the blur and refinement in space go together (`_solver.annealing`). At the last blur
+the problem of the points is solved in cycles of a two-grid method: one iteration over the points
+shows by how much the softmins of the clusters are off; the problem of the clusters is solved with
+this correction; and the change of its solution is prolonged to the points by a softmin. Each cycle
+leaves a few percent of the residual. Where clusters save little, because the blur is small, the
+problem of the pairs with notable mass takes their place (`_solver.coarse_grid`).
 
 Sources of the ideas: Schmitzer, "Stabilized sparse scaling algorithms for entropy regularized
-transport problems" (2019), for annealing with refinement; Brandt, "Multi-level adaptive
-solutions to boundary-value problems" (1977), for the correction (his full approximation scheme).
+transport problems" (2019), for annealing with refinement; Brandt, "Multi-level adaptive solutions
+to boundary-value problems" (1977), for the correction (his full approximation scheme).
 """
 
 from collections.abc import Callable
@@ -114,10 +110,7 @@ FINENESSES = (
 
 
 class Multiscale:
-    """One solve of a large problem, with the attributes of `_solver.iteration.Iteration`.
-
-    pair: (source, target), the measures of the problem: Measure or WeightedPoints.
-    """
+    """One solve of a large problem between two measures, with the attributes of `Iteration`."""
 
     state: State
     status: str
@@ -331,9 +324,8 @@ class Multiscale:
     def _correct(self, grid: CoarseGrid, image: Array) -> tuple[Array, float, bool]:
         """Solve the corrected coarse problem and prolong its change (a two-grid cycle).
 
-        image: (M,), potentials g after the last iteration over the points; Result: (M,), better
-        potentials g; Result: the residual that they leave in the coarse problem; Result: whether
-        the coarse solve has ended at the edge of the trust region.
+        Return better potentials g, (M,), than the image; the residual that they leave in
+        the coarse problem; and whether its solve has ended at the edge of the trust region.
         """
         epsilon, coarse = self._blur**2, grid.problem
         f, g, t_rows, t_columns, residual = self.state

@@ -80,9 +80,9 @@ def clouds_of(
 def row_softmin(
     source: AnyMeasure, target: AnyMeasure, potentials: Potentials, backend: Backend
 ) -> tuple[Operations, tuple[Any, Any], Softmin, Array]:
-    """Return a backend, both clouds, the operator T of the rows of a plan, and T(g), (N,).
+    """Return a backend, both clouds, the operator T of a plan's rows, and T(g), (N,).
 
-    It refuses potentials that are unusable, or belong to other measures.
+    Potentials that are unusable, or belong to other measures, are refused.
     """
     check_potentials("potentials", potentials, (len(source), len(target)))
     operations = get_backend(backend)
@@ -112,10 +112,7 @@ def sent(
     pair: tuple[AnyMeasure, AnyMeasure],
     potentials: Potentials,
 ) -> Sent:
-    """Return where the mass of a plan's rows goes, from the potentials of the columns alone.
-
-    The pass over all pairs is that of `row_projection`, whose parameters these are.
-    """
+    """Return where the mass of a plan's rows goes, from the potentials of the columns alone."""
     softmin, mean = row_projection(operations, clouds, pair, potentials)
     inverse = inverse_rho(potentials)
     potential = softmin / (1.0 + potentials.epsilon * inverse)
@@ -135,12 +132,9 @@ def row_projection(
     pair: tuple[AnyMeasure, AnyMeasure],
     potentials: Potentials,
 ) -> tuple[Array, Array]:
-    """Return T(g) of the rows of a plan, and the mean of each row's destinations, from one pass.
+    """Return T(g), (N,), of a plan's rows, and the mean of each row's destinations, (N, D).
 
-    Where the solver left out most of the pairs, a pass before that one chooses the near ones.
-
-    clouds: (rows, columns), the measures in the backend's memory; pair: (source, target); softmin:
-    (N,), T(g), cost units; mean: (N, D).
+    Where the solver left out most of the pairs, another pass chooses the near ones before.
     """
     check_potentials("potentials", potentials, (len(pair[0]), len(pair[1])))
     to_rows, known = plan_softmin(operations, clouds, pair, potentials)

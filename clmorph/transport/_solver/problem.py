@@ -39,12 +39,10 @@ class Problem:
     """Unbalanced entropic transport between two measures, at any epsilon.
 
     With the reductions `Segments` it is many problems (`_solver.batch`): vectors then hold the
-    points of all problems, and where a number is described, an array holds one for each problem.
+    points of all problems, and in place of a number an array holds one for each problem.
 
-    to_rows, to_columns: the operators that compute T(g) and T(f); weights: (a, b), masses of both
-    measures; rho: (rho_source, rho_target), marginal penalties, cost units; infinity is balanced;
-    largest_cost: an upper bound of the cost; reductions: (Reductions of the rows, Reductions of the
-    columns).
+    `to_rows` and `to_columns` compute T(g) and T(f); the weights are the masses (a, b) of both
+    measures; an infinite rho is balanced; `largest_cost` is an upper bound.
     """
 
     #: Whether every softmin has the powers and sums of `bounded_softmins`, at three times the time.
@@ -107,10 +105,7 @@ class Problem:
         )  # fmt: skip
 
     def with_truncation(self, truncation: float | None) -> "Problem":
-        """Return the problem of the same measures, whose softmins choose near pairs of their own.
-
-        It has this problem's clouds, so nothing is uploaded.
-        """
+        """Return this problem with its clouds; its softmins choose near pairs of their own."""
         to_rows, to_columns = (
             Softmin(self.operations, of.rows, of.columns, of.weights, truncation)
             for of in (self.to_rows, self.to_columns)
@@ -149,10 +144,7 @@ class Problem:
         return 0.0
 
     def damping(self, epsilon: float) -> tuple[float, float]:
-        """Return Delta = rho / (rho + epsilon) of both sides, the proximal step of the KL penalty.
-
-        (math: damping)
-        """
+        """Return Delta = rho / (rho + epsilon) of both sides (math: damping)."""
         source, target = (1.0 / (1.0 + epsilon * inverse) for inverse in self.inverse_rho)
         return source, target
 
@@ -193,20 +185,16 @@ class Problem:
         """Maximize the dual over all (f, g + s), given T(g), where f is the half-step of g + s.
 
         f = Delta T(g + s) for every s (paper, 3.1), and the best s has a closed form (math:
-        translation invariance). A shift after f would change f again. Source of the idea: Séjourné,
-        Vialard, Peyré, "Faster unbalanced optimal transport: translation invariant Sinkhorn and 1-D
-        Frank-Wolfe" (2022).
+        translation invariance). Source of the idea: Séjourné, Vialard, Peyré, "Faster
+        unbalanced optimal transport: translation invariant Sinkhorn and 1-D Frank-Wolfe"
+        (2022).
         """
         return self._half_step(t_rows, 0, g, epsilon, None)
 
     def update_g(
         self, f: Array, t_columns: Array, epsilon: float, log_mass: Any = None
     ) -> HalfStep:
-        """Maximize the dual over all (f + s, g), given T(f), where g is the half-step of f + s.
-
-        f, t_columns: (N,) and (M,); log_mass: the `HalfStep.log_mass` of the `update_f` that f
-        comes from. With it one sum of exponentials is not needed.
-        """
+        """Maximize the dual over all (f + s, g), given T(f) and, if known, the log of the mass."""
         return self._half_step(t_columns, 1, f, epsilon, log_mass)
 
     def _half_step(
@@ -214,9 +202,8 @@ class Problem:
     ) -> HalfStep:
         """Return the half-step of one side, with the best s for `old` + s.
 
-        (math: translation invariance) At this s, <a, exp(-f / rho)> and <b, exp(-g / rho)> are both
-        the mass of the plan. The logarithm of this sum before the shift is `before`, or is computed
-        if that is None.
+        At this s, <a, exp(-f / rho)> and <b, exp(-g / rho)> are both the mass of the plan;
+        `before` is the logarithm of this sum before the shift, if it is known.
         """
         # 1 / (rho + epsilon) and 1 / rho: 0 if balanced
         damping = self.damping(epsilon)[side]
@@ -261,8 +248,8 @@ class Problem:
     def residual(self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float) -> Any:
         """Return max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon over points of positive mass.
 
-        (math: residual) The softmins must be those computed last: the pairs that they left out are
-        part of the result, and after `bounded_softmins` so is their rounding.
+        (math: residual) The softmins must be the last ones: what they left out is part of
+        the result, and after `bounded_softmins` so is their rounding.
         """
         residuals = []
         sides = self._sides(f, g, t_rows, t_columns)
@@ -288,12 +275,13 @@ class Problem:
     def dual(self, f: Array, g: Array, plan_mass: Any, epsilon: float, enough: Any = 0.0) -> Any:
         """Return D(f, g) without its constant epsilon m_a m_b, given the mass of its plan.
 
-        (paper, 2.1; math: dual) Where masses are large, adding the constant would lose digits.
+        (paper, 2.1; math: dual) Where masses are large, adding the constant would lose
+        digits.
 
-        f, g: (N,) and (M,); enough: the rounding that each penalty may have, in units of epsilon
-        times the plan's mass. If it is not 0, f and g must be those of a `HalfStep`: then <a,
-        exp(-f / rho)> is the mass of the plan, and no exponential is needed where rho is small
-        enough for that rounding, in all problems.
+        `enough` is the rounding that each penalty may have, in units of epsilon times the
+        plan's mass. If it is not 0, f and g must be those of a `HalfStep`: then <a, exp(-f
+        / rho)> is the mass of the plan, and needs no exponential where rho is small enough
+        for that rounding, in all problems.
         """
         value = -epsilon * plan_mass
         for of, potential, weights, inverse, mass in (
@@ -345,8 +333,5 @@ def cost_across(low: Array, high: Array) -> Any:
 def has_closed_form(
     mass: Any, plan_mass: Any, inverse_rho: float, epsilon: float, enough: Any
 ) -> Any:
-    """Return whether a penalty of the dual has enough digits as a difference of masses.
-
-    mass, plan_mass: of the side, and of the plan; epsilon: cost units.
-    """
+    """Return whether a penalty of the dual has enough digits as a difference of masses."""
     return MASS_ROUNDING * (mass + plan_mass) <= enough * epsilon * plan_mass * inverse_rho

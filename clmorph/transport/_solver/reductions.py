@@ -1,9 +1,4 @@
-"""Sums and maxima over the points of one problem, or of each of many problems.
-
-The mathematics of the solver is written once, over these reductions. With `Whole`, a vector belongs
-to one problem, and a sum is a number. With `Segments`, a vector holds the points of many problems
-one after the other, and a sum is an array with one number for each problem.
-"""
+"""Sums and maxima over the points of one problem (`Whole`), or of each of many (`Segments`)."""
 
 from typing import Any
 
@@ -90,10 +85,7 @@ class Whole:
 
 
 class Segments:
-    """Reductions over vectors that hold the points of many problems, one after the other.
-
-    counts: (B,), number of points of each problem, at least 1.
-    """
+    """Reductions over vectors that hold the points of many problems one after the other."""
 
     def __init__(self, counts: IntArray) -> None:
         self.counts = counts
@@ -197,8 +189,5 @@ def log_sum_exp(of: Reductions, values: Array) -> Any:
 
 
 def largest_size(of: Reductions, values: Array, counted: BoolArray) -> Any:
-    """Return the largest absolute value over each problem, of the counted points alone.
-
-    values: (n,); counted: (n,).
-    """
+    """Return the largest absolute value over each problem, of the counted points alone."""
     return of.largest(np.where(counted, np.abs(values), 0.0))

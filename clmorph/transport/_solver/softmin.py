@@ -44,20 +44,17 @@ def many_pairs_factor(operations: Operations) -> int:
 class Softmin:
     """The operator T: potentials of the columns to soft minima, one a row (paper, section 3.1).
 
-    With a truncation, T sums only near pairs (`Operations.near_pairs`). These are chosen for one
-    potential g. At another potential h the share of the other pairs can have grown by at most
-    exp(max(h - g) / epsilon), times the change of the row's own sum. Pairs are chosen anew only
-    where this bound exceeds the truncation.
+    With a truncation, in nats, T sums only near pairs (`Operations.near_pairs`). These are
+    chosen for one potential g. At another potential h the share of the other pairs can have
+    grown by at most exp(max(h - g) / epsilon), times the change of the row's own sum. Pairs are
+    chosen anew only where this bound exceeds the truncation. They are chosen for the share
+    `reserve` of it: with a smaller one they remain valid for longer. Unless `proven`, nothing
+    proves a choice.
 
-    rows, columns: clouds that the backend holds; weights: (N,), (M,), masses of both clouds;
-    truncation: nats by which a log-sum-exp may be too small; all pairs are summed if None; guess:
-    (N,) or None, an estimate of the next softmin; the last softmin unless it is set; left_out: A
-    proven bound of the nats by which pairs left out can make the logarithms of the sums behind the
-    last softmin too small; roundoff: a proven bound of the error of these logarithms by rounding,
-    in nats, after a `bounded` softmin; 0 after other softmins, whose rounding is not bounded; near:
-    the pairs that the last softmin summed; None stands for all pairs; proven: whether the choice of
-    pairs must prove that `left_out` is within the truncation; reserve: pairs are chosen for this
-    share of the truncation; with a smaller share they remain valid for longer.
+    `left_out` bounds the nats by which the logarithms of the last sums are too small, and
+    `roundoff` their rounding after a `bounded` softmin. `near` has the pairs of these sums, or
+    None for all, and `guess` (N,) is an estimate of the next softmin: the last one unless it is
+    set.
     """
 
     def __init__(
@@ -86,13 +83,9 @@ class Softmin:
     def __call__(
         self, potential: Array, epsilon: float, precise: bool = False, bounded: bool = False
     ) -> Array:
-        """Return T(potential)_i = -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon).
+        """Return T(potential)_i = -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon) (paper, 3.1).
 
-        (paper, 3.1)
-
-        potential: (M,), cost units; epsilon: float, cost units; precise: whether exponents are
-        computed in more than float32; bounded: whether `roundoff`, a bound of all rounding, is
-        computed.
+        `precise` exponents are better than float32; `bounded` computes `roundoff`.
         """
         kind = precise, bounded
         # Pairs left out and rounding together are then within the truncation.
@@ -125,10 +118,7 @@ class Softmin:
         self._chosen_for, self.guess = (epsilon, potential), softmin
 
     def settle(self, residual: float) -> None:
-        """Choose near pairs anew if potentials will hardly move, and the pairs are for far moves.
-
-        residual: the residual that was reached, in units of epsilon.
-        """
+        """Choose pairs anew, once, if they are for far moves and the residual is small."""
         far = self._near is not None and self.reserve < SETTLED_RESERVE
         if far and residual <= SETTLED and not self._settled:
             self.reserve, self._near, self._settled = SETTLED_RESERVE, None, True
@@ -138,10 +128,7 @@ class Softmin:
         self.truncation = self._near = None
 
     def _choose(self, potential: Array, epsilon: float, share: float) -> NearPairs | None:
-        """Choose pairs; None if they leave out more than a share of the truncation.
-
-        They can do so after a bad guess.
-        """
+        """Choose pairs; None if they leave out more than this share, after a bad guess."""
         assert self.guess is not None
         assert self.truncation is not None
         near = self.operations.near_pairs(
@@ -195,10 +182,7 @@ class Softmin:
         precise: bool,
         exact: bool = False,
     ) -> Any:
-        """Return the largest effect of rounding on a softmin, in nats; see `rounding_error`.
-
-        largest_cost: upper bound of the cost of all pairs.
-        """
+        """Return the largest effect of rounding on a softmin, in nats; see `rounding_error`."""
         n_columns = self.n_columns
         if self._near is not None and self._chosen_for[0] == epsilon:
             n_columns = self._near.n_columns

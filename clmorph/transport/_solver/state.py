@@ -43,39 +43,24 @@ class Outcome:
 
 
 def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
-    """Return potentials with their softmins and a residual that includes a bound of its rounding.
-
-    f, g: (N,) and (M,), cost units; epsilon: cost units.
-    """
+    """Return potentials with their softmins and a residual that includes its rounding."""
     softmins = problem.bounded_softmins(f, g, epsilon)
     return State(f, g, *softmins, problem.residual(f, g, *softmins, epsilon))
 
 
 def slack_of(problem: Problem, floor: Any, rounding: Any, mass: Any, epsilon: float) -> Any:
-    """Return by how much rounding and truncation can make a dual seem to have fallen.
-
-    floor: the dual that was reached before; rounding: largest residual that rounding alone can
-    cause, in units of epsilon; mass: mass of the plan; epsilon: cost units.
-    """
+    """Return by how much rounding and truncation can make a dual seem to be below `floor`."""
     slack = 1e-12 * abs(floor) + SLACK * rounding * epsilon * mass
     return slack + problem.left_out * epsilon * mass
 
 
 def dual_rounding(problem: Problem, epsilon: float, precise: bool) -> Any:
-    """Return the rounding that each penalty of the dual may have; see `Problem.dual`.
-
-    The dual's own rounding is then a small part of `slack_of`.
-
-    epsilon: cost units.
-    """
+    """Return the rounding that each penalty of the dual may have; it is small in `slack_of`."""
     return DUAL_SHARE * SLACK * ROUNDING_MARGIN * problem.rounding(epsilon, precise)
 
 
 def share_done(first: float, residual: float, tol: float) -> float:
-    """Return the share of the work that is done, if residuals fall geometrically.
-
-    first, residual, tol: the first residual, the current one, and the tolerance.
-    """
+    """Return the share of the work that is done, if residuals fall geometrically."""
     if residual <= tol or first <= tol:
         return 1.0
     if not math.isfinite(residual):
@@ -84,10 +69,7 @@ def share_done(first: float, residual: float, tol: float) -> float:
 
 
 def needs_more(problem: Problem, precision: str, epsilon: float, tol: float) -> Any:
-    """Return whether a tolerance needs exponents better than float32 and `precision` allows them.
-
-    precision: {"auto", "float32", "float64"}; epsilon: cost units; tol: units of epsilon.
-    """
+    """Return whether a tolerance needs more than float32, and `precision` allows it."""
     if precision != "auto":
         return precision == "float64"
     operations = problem.operations

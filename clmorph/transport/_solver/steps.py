@@ -1,8 +1,7 @@
 """The steps of an iteration: softmins with the arithmetic between them, on host or device.
 
-`HostSteps` and `DeviceSteps` have the same methods, and the same formulas, those of
-`_solver.half_steps`. The device computes an iteration ahead of the host's decisions, so that both
-meet once: where the host then takes back an extrapolation, one softmin was in vain.
+The device computes an iteration ahead of the host's decisions, so that both meet once: where the
+host then takes back an extrapolation, one softmin was in vain.
 """
 
 from typing import Any, Protocol
@@ -142,11 +141,7 @@ class HostSteps:
 
 
 class DeviceSteps:
-    """Steps whose arithmetic the device does, of one problem or of many; see `Steps`.
-
-    The host reads a few numbers of each problem, and holds the state of `Anderson`, whose vectors
-    are on the device.
-    """
+    """Steps whose arithmetic the device does; the host has the state of `Anderson`, see `Steps`."""
 
     ahead = 1
 

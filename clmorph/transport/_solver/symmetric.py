@@ -1,8 +1,7 @@
-"""The iteration for problems of measures with themselves, whose potentials f and g are equal.
+"""The iteration f <- (f + Delta T(f)) / 2 of measures with themselves, where f = g (paper, 2.2).
 
-It is f <- (f + Delta T(f)) / 2 (paper, 2.2). The Gaussian kernel is positive, so near the solution
-this contracts by 1/2 at least. The general iteration has no such rate: where the plan is nearly
-diagonal, it determines f + g alone, and f - g stays what it happens to be.
+The Gaussian kernel is positive, so near the solution this contracts by 1/2 at least. Where the plan
+is nearly diagonal, the general iteration determines f + g alone.
 """
 
 from typing import Any
@@ -88,10 +87,7 @@ def solve_symmetric(
     precision: str,
     report: Progress,
 ) -> Iteration:
-    """Return the solves of one or many measures with themselves.
-
-    problem: one problem, or made by `problem_of_many`; all are symmetric.
-    """
+    """Return the solves of one or many measures with themselves."""
     problem.to_columns = problem.to_rows
     # Each iteration halves the residual unless it consists of rounding.
     iteration = Iteration(

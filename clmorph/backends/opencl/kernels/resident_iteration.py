@@ -34,11 +34,9 @@ class Slots:
 class DeviceIteration:
     """An iteration on the device, as `clmorph.backends.interface.ResidentIteration` has it.
 
-    Of its potentials the last and the next one are kept.
-
-    sides: (rows, columns), clouds, or parts of stored pairs, with a length and a stride; arguments:
-    what kernels take while the iteration goes on, by name: scalars, and buffers. ``rows`` and
-    ``columns`` hold vectors, (slots, stride) float64; ``start`` is the host's potential.
+    Its sides are clouds, or parts of stored pairs. The arguments of kernels stay while it goes
+    on. Of them ``rows`` and ``columns`` hold vectors, (slots, stride), and ``start`` is the
+    host's potential.
     """
 
     steps: "ResidentSteps"
@@ -118,12 +116,9 @@ class DeviceIteration:
 
 
 class BatchIteration(DeviceIteration):
-    """Iterations of many problems on the device; each stops by itself.
+    """Iterations of many problems on the device; each stops by itself, and `keep` leaves some.
 
-    sides: the clouds of all problems, as `clouds.Cloud`; table: (problems, fields), what kernels
-    are told of each problem.
-
-    `keep` leaves some of the problems, in their order; numbers are theirs.
+    The table, (problems, fields), is what kernels are told of each problem.
     """
 
     table: Any = None
@@ -220,10 +215,9 @@ class BatchIteration(DeviceIteration):
 
 
 class BoundKernels:
-    """Kernels of their own, whose arguments stay set while an iteration goes on.
+    """Kernels of their own, whose arguments, by name, stay set while an iteration goes on.
 
-    arguments: the names of the arguments of kernels, in their order; budget: learns from the
-    seconds that iterations take.
+    The budget learns from the seconds that iterations take.
     """
 
     def __init__(
@@ -242,10 +236,7 @@ class BoundKernels:
     def bind(
         self, iteration: DeviceIteration, scalars: Callable[[DeviceIteration], dict[str, Any]]
     ) -> None:
-        """Set what stays the same in an iteration, if it is that of another one.
-
-        scalars: a function that returns arguments which follow from epsilon.
-        """
+        """Set what stays the same in an iteration, and the scalars that follow from its epsilon."""
         bound = None if self._iteration is None else self._iteration()
         if bound is not iteration or self._version != iteration.version:
             self._iteration, self._epsilon = None, 0.0

@@ -74,13 +74,10 @@ MOST_MEMORY = 7 / 8
 
 @dataclass(eq=False, kw_only=True)
 class StoredIteration(DeviceIteration):
-    """An iteration over stored pairs.
+    """An iteration over the pairs that are stored by row and by column.
 
-    Its arguments ``given_rows`` and ``given_columns`` are vectors that the host writes.
-
-    pairs: (Side, Side), the stored pairs by row and by column; origin: (M,), potential of the
-    columns for which the pairs were stored; counted: (M,), the columns of positive mass;
-    row_middle: midrange of the changes of f at the center of the trust region, cost units.
+    It has the potential of the columns for which they were stored, which columns have mass, and
+    the midrange of the changes of f at the center of the trust region, cost units.
     """
 
     pairs: tuple[Side, Side]
