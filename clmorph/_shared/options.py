@@ -8,7 +8,7 @@ the command line, in TOML and in recipes: there it can have another name (``fram
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from typing import Any, Self
@@ -161,6 +161,15 @@ def unknown_option(name: str, known: Mapping[str, Any]) -> str:
     expected = f"expected one of {', '.join(known)}" if few else "clmorph morph --help lists them"
     hint = f"did you mean {near[0]!r}?" if near else expected
     return f"unknown option {shown(name)}; {hint}"
+
+
+def among(given: Mapping[str, Any], names: Iterable[str]) -> Mapping[str, Any]:
+    """Return the given options, after a check that all are among the names."""
+    allowed = dict.fromkeys(names)
+    for name in given:
+        if name not in allowed:
+            raise InputError(unknown_option(name, allowed))
+    return given
 
 
 def to_outside(known: Option, value: Any) -> Any:

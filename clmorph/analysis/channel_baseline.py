@@ -14,7 +14,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clmorph._shared.options import specifications
+from clmorph._shared.options import among, specifications
 from clmorph._shared.validation import check_number
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
@@ -147,7 +147,7 @@ def channel_morph(
     >>> len(baseline.channels), len(baseline.frames)
     (3, 4)
     """
-    options = PAPER.chosen(CHANNEL_OPTIONS, given)
+    options = PAPER.replace(**among(given, CHANNEL_OPTIONS))
     start, end, gamma = (
         WIDTH.check("sigma_start", options.sigma_start),
         WIDTH.check("sigma_end", options.sigma_end),

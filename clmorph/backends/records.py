@@ -1,6 +1,6 @@
 """The records that operations return in addition to plain arrays, and the types of these arrays."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,3 +137,36 @@ def bin_grid(shape: tuple[int, int], margin: int, size: float) -> tuple[int, int
     """Return the number of bins along y and x for a canvas and its margin."""
     height, width = (int(-(-side // size)) + 2 * margin for side in shape)
     return height, width
+
+
+class ResidentIteration(Protocol):
+    """Sinkhorn's iteration between two clouds, or over stored pairs, with vectors on the device.
+
+    An iteration is a half-step of f and one of g, each with its shift, and an extrapolation of g:
+    the formulas of `clmorph.transport._solver.half_steps`. The host reads a few numbers and decides
+    which potential is the next. In iterations of many problems, each number and truth value is an
+    array with one for each problem.
+    """
+
+    def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
+        """Set the potential g at which the next iteration begins: (M,) array, cost units."""
+
+    def iterate(self, begun: Any, place: Any, count: Any, radius: Any) -> IterationNumbers:
+        """Run one iteration, with one wait.
+
+        `begun` tells whether an iterate is stored, with which this one makes a difference; the
+        difference goes to `place` (0 to 15), and `count` of them (at most 16) are then stored.
+        `radius` is that of the trust region, see `clmorph.transport._solver.anderson`.
+        """
+
+    def go_on(self, extrapolated: Any, which: Any = True) -> None:
+        """Take the last iteration's extrapolation, or its image of g, as the next potential."""
+
+    def go_back(self, which: Any = True) -> None:
+        """Drop the last iteration, and take the image of the one before as the next potential."""
+
+    def keep(self, problems: NDArray[np.intp]) -> None:
+        """Go on with some of many problems until the next potential is set, for all of them."""
+
+    def potentials(self) -> tuple[Float64, Float64, Float64]:
+        """Return f, the image of g, and T(f) after the last iteration: (N,), (M,), (M,) arrays."""

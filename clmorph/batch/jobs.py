@@ -15,7 +15,7 @@ from clmorph._shared.validation import shown
 from clmorph.batch.places import INDEX, JOURNAL, file_identity, name_of, read_bytes, resolved
 from clmorph.errors import FileError, InputError
 from clmorph.output.formats.registry import by_ending, usual_endings
-from clmorph.pipeline.options import MorphOptions, preset_options
+from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.recipe import PRESET, options_of
 
@@ -62,9 +62,7 @@ class Job:
 
     def settled(self, preset: str | None) -> MorphOptions:
         """Return the options of the morph, as ``clmorph morph`` joins them."""
-        chosen = preset_options(preset)
-        layers = (self.defaults, chosen) if self.own_preset else (chosen, self.defaults)
-        return MorphOptions(**MorphOptions.layered((MorphOptions.layered(layers), self.options)))
+        return MorphOptions.joined(self.options, preset, self.defaults, preset_wins=self.own_preset)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """A cluster on this machine, a worker for each device, and clients of running schedulers."""
 
+import asyncio
 import gc
 import os
 from collections.abc import Iterator
@@ -124,14 +125,27 @@ def remote_client(address: str) -> Iterator[Any]:
 
     with quiet_dask():
         try:
+            asyncio.run(_greeted(address))
             client = Client(address, timeout=TIMEOUT)
         except Exception as error:  # of many classes, by the kind of the address
+            silent = isinstance(error, TimeoutError) and not error.args
+            reason = f"silent for {TIMEOUT:g} s" if silent else reason_of(error, 120)
             raise InputError(
-                f"--scheduler {address}: no scheduler answers ({reason_of(error, 120)}); expected "
-                "an address such as tcp://host:8786"
+                f"--scheduler {address}: no scheduler answers ({reason}); expected an address "
+                "such as tcp://host:8786"
             ) from None
         try:
             yield client
         finally:
             with suppress(Exception):
                 client.close(timeout=TIMEOUT)
+
+
+async def _greeted(address: str) -> None:
+    """Connect to a scheduler: Dask's client waits for good where a port accepts and is silent."""
+    from distributed.comm import connect
+    from distributed.security import Security
+
+    arguments = Security().get_connection_args("client")
+    comm = await asyncio.wait_for(connect(address, timeout=TIMEOUT, **arguments), TIMEOUT)
+    comm.abort()

@@ -29,8 +29,8 @@ from clmorph.cli.reporting import run
 from clmorph.errors import InputError, OptionWarning
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.maps import AUTO_LABELS
-from clmorph.pipeline.options import MorphOptions, preset_options
-from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS, drafted
+from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
 
 if TYPE_CHECKING:
     from clmorph.cli.request import Request
@@ -234,11 +234,7 @@ def _options(
     foreign = config is not None and not config.named.own
 
     def options_of(name: str | None) -> MorphOptions:
-        chosen = preset_options(name)
-        below = MorphOptions.layered((file, chosen) if wins else (chosen, file))
-        if given["draft"]:
-            below |= drafted(below)
-        return MorphOptions(**MorphOptions.layered((below, line)))
+        return MorphOptions.joined(line, name, file, preset_wins=wins, draft=given["draft"])
 
     return options_of, preset == AUTO or (preset is None and not foreign)
 

@@ -14,7 +14,6 @@ from clmorph._shared.options import (
     Options,
     option,
     specifications,
-    unknown_option,
     with_default,
 )
 from clmorph._shared.validation import as_float, check_choice, check_flag, shown
@@ -160,6 +159,23 @@ class MorphOptions(
         super().__init__(**self.layered((chosen, given)))
 
     @classmethod
+    def joined(
+        cls,
+        given: Mapping[str, Any],
+        preset: str | None,
+        file: Mapping[str, Any],
+        *,
+        preset_wins: bool,
+        draft: bool = False,
+    ) -> Self:
+        """Join a preset, a file of settings, and what is given beside them, which wins."""
+        chosen = preset_options(preset)
+        below = cls.layered((file, chosen) if preset_wins else (chosen, file))
+        if draft:
+            below |= drafted(below)
+        return cls(**cls.layered((below, given)))
+
+    @classmethod
     def layered(cls, layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
         """Merge several layers of options, by their names in Python, into one; later layers win.
 
@@ -255,14 +271,6 @@ class MorphOptions(
                     f"MorphOptions({name}=...)"
                 )
         return type(self)(**MorphOptions.layered((self.as_dict(), given)))
-
-    def chosen(self, names: Iterable[str], given: Mapping[str, Any]) -> Self:
-        """Return a copy with the given options replaced, if they are among the allowed names."""
-        allowed = dict.fromkeys(names)
-        for name in given:
-            if name not in allowed:
-                raise InputError(unknown_option(name, allowed))
-        return self.replace(**given)
 
     def of(self, stage: type[Options]) -> dict[str, Any]:
         """Return the options of one stage, a class that this one joins, by their names."""

@@ -51,7 +51,6 @@ def as_options(
     """
     if options is None:
         if preset is None or (isinstance(preset, str) and preset == AUTO):
-            MorphOptions(draft=draft, **given)  # raises an error before the images are looked at
             preset = recognized(images)
         return MorphOptions(preset=preset, draft=draft, **given)
     chosen = MorphOptions.of_call(options, given, "n_frames=30")

@@ -12,7 +12,7 @@ from typing import Unpack
 
 import numpy as np
 
-from clmorph._shared.options import specifications
+from clmorph._shared.options import among, specifications
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_number
 from clmorph.backends.arrays import as_floats
@@ -294,7 +294,7 @@ def morph(image_a: ArrayLike, image_b: ArrayLike, **given: Unpack[MorphKeywords]
     >>> [frame[0, 0, 0].round(3).item() for frame in morph.frames]
     [0.0, 0.5, 1.0]
     """
-    options = PAPER.chosen(REFERENCE_OPTIONS, given)
+    options = PAPER.replace(**among(given, REFERENCE_OPTIONS))
     _check_unmatched(options.unmatched)
     sigma_start = WIDTH.check("sigma_start", options.sigma_start)
     sigma_end = WIDTH.check("sigma_end", options.sigma_end)

@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -533,6 +534,20 @@ def test_local_workers_take_work_from_their_command_alone(monkeypatch):
                 pass
 
 
+def test_a_port_that_stays_silent_is_no_scheduler(monkeypatch):
+    """Dask's client waits for its greeting without a limit."""
+    monkeypatch.setattr(workers, "TIMEOUT", 0.5)
+    with socket.create_server((LOCAL, 0)) as server:
+        address = f"tcp://{LOCAL}:{server.getsockname()[1]}"
+        begun = time.monotonic()
+        with (
+            pytest.raises(clmorph.InputError, match=r"answers \(silent for 0.5 s\)"),
+            workers.remote_client(address),
+        ):
+            pass
+        assert time.monotonic() - begun < 30
+
+
 def test_a_client_may_follow_one_that_could_not_connect():
     """The thread of the second one may be the one that collects the first one as garbage."""
     script = """
@@ -540,7 +555,10 @@ import gc, threading
 import clmorph
 from clmorph.batch import workers
 
-workers.TIMEOUT = 0.5
+async def greeted(address):
+    pass
+
+workers.TIMEOUT, workers._greeted = 0.5, greeted
 gc.disable()
 
 def refused():

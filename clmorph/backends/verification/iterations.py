@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.comparison import Finding
-from clmorph.backends.interface import ResidentIteration
-from clmorph.backends.records import Float64, IterationNumbers, StoredVectors
+from clmorph.backends.records import Float64, IterationNumbers, ResidentIteration, StoredVectors
 from clmorph.backends.verification.clouds import CloudCase
 
 #: Penalties of the marginals in units of epsilon.

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
-from clmorph.backends.interface import MAX_EXPONENT, ResidentIteration
-from clmorph.backends.records import StoredPairs, StoredVectors
+from clmorph.backends.interface import MAX_EXPONENT
+from clmorph.backends.records import ResidentIteration, StoredPairs, StoredVectors
 from clmorph.measures.cluster import Clusters
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import Problem, has_closed_form

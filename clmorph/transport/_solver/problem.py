@@ -5,7 +5,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph.backends.interface import MAX_EXPONENT, Operations, ResidentIteration
+from clmorph.backends.interface import MAX_EXPONENT, Operations
+from clmorph.backends.records import ResidentIteration
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.reductions import (
     WHOLE,

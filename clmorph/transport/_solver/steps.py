@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
-from clmorph.backends.interface import MEMORY, ResidentIteration
+from clmorph.backends.interface import MEMORY
+from clmorph.backends.records import ResidentIteration
 from clmorph.transport._solver.anderson import GROWTH, Anderson, TrustRegion
 from clmorph.transport._solver.batch import not_finite, some
 from clmorph.transport._solver.half_steps import (

@@ -32,7 +32,7 @@ class Slots:
 
 @dataclass(eq=False)
 class DeviceIteration:
-    """An iteration on the device, as `clmorph.backends.interface.ResidentIteration` has it.
+    """An iteration on the device, as `clmorph.backends.records.ResidentIteration` has it.
 
     Its sides are clouds, or parts of stored pairs. The arguments of kernels stay while it goes
     on. Of them ``rows`` and ``columns`` hold vectors, (slots, stride), and ``start`` is the
