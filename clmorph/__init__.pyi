@@ -114,6 +114,9 @@ from .output.picture import (
 from .output.save import (
     save as save,
 )
+from .pipeline.clip_morph import (
+    morph_clip as morph_clip,
+)
 from .pipeline.clips import (
     recolor_clip as recolor_clip,
 )

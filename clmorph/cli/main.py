@@ -170,9 +170,11 @@ def morph(context: click.RichContext, /, **given: Any) -> None:
     clmorph morph cat.png dog.png -o out.webp --preset pixel-art --loop ping-pong
     clmorph morph a.png b.jpg -o frames --frames 100        a folder of PNG files
     clmorph morph --config out.gif -o again.gif             as that file was made
+    clmorph morph a.mp4 b.mp4 -o out.mp4 --duration 2       clips, while both play
 
     Options that are not given are those of the preset.
     """  # noqa: D301
+    from clmorph.cli.clip import has_clip, run_clips
     from clmorph.cli.morph import announce_idle, run_morph
 
     config, line = given["config"], options.given_options(given)
@@ -190,7 +192,11 @@ def morph(context: click.RichContext, /, **given: Any) -> None:
         "morph a.png b.jpg -o out.gif", beside=beside, options_of=options_of if auto else None,
         # A limit that the user repeats on the command line counts as the user's own.
         capped=config is not None and not config.named.own and "max_memory" not in line,
+        named=frozenset((*line, *(() if config is None else config.options))),
     )  # fmt: skip
+    if has_clip(request):
+        run_clips(request)
+        return
     announce_idle(list(line), request.outputs, request.format)
     run_morph(request)
 

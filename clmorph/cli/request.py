@@ -51,6 +51,8 @@ class Request:
     #: such as "5x5"), "weights" (of each mix), "path" (letters) and "stops" (weights), see
     #: `clmorph.pipeline.mixing.weights`.
     shown: Mapping[str, Any] | None = None
+    #: Names of the options that the user gives, in Python.
+    named: frozenset[str] = frozenset()
     began: float = field(default_factory=time.perf_counter)
 
     @cached_property

@@ -287,6 +287,30 @@ class Clip:
         return None if found is None else self._frame(*found)
 
 
+#: The first bytes of clips and where they stand, and brands of pictures in the container of MP4.
+_SIGNATURES = (
+    (4, b"ftyp"), (4, b"moov"), (4, b"mdat"), (0, b"\x1aE\xdf\xa3"), (8, b"AVI LIST"),
+    (0, b"FLV\x01"), (0, b"OggS"), (0, b"\0\0\x01\xba"), (0, b"\0\0\x01\xb3"),
+    (0, b"0&\xb2u\x8ef\xcf\x11"),
+)  # fmt: skip
+_PICTURES = (b"avif", b"avis", b"heic", b"heix", b"hevc", b"hevx", b"mif1", b"msf1")
+#: Bytes from one packet of an MPEG transport stream to the next, each of which begins with G.
+_PACKET = 188
+
+
+def is_clip(path: Path) -> bool:
+    """Return whether a file is a clip by its first bytes; False if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(2 * _PACKET + 1)
+    except OSError:
+        return False
+    if start[4:8] == b"ftyp" and start[8:12] in _PICTURES:
+        return False
+    stream = len(start) > 2 * _PACKET and {start[k * _PACKET] for k in range(3)} == {0x47}
+    return stream or any(start.startswith(mark, place) for place, mark in _SIGNATURES)
+
+
 def check_reader(path: Path) -> None:
     """Raise FileError if the library that reads clips is missing."""
     if find_spec("av") is None:

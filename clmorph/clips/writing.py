@@ -34,6 +34,8 @@ class Container(NamedTuple):
     longest_side: int
     #: Whether the container can hold opacity.
     opacity: bool
+    #: FFmpeg's name of the encoder of sound that is mixed.
+    sound: str
 
 
 #: Every container by FFmpeg's name of it.
@@ -42,14 +44,16 @@ CONTAINERS = {
         # x264's macroblock tree reads uninitialized memory, so the bytes of files would differ.
         "libx264", {"crf": "14", "preset": "medium", "mbtree": "0"}, {"preset": "veryfast"},
         # The index stands first, so that a page plays the file while it loads.
-        {"movflags": "+faststart+use_metadata_tags"}, "H.264", 16384, opacity=False,
+        {"movflags": "+faststart+use_metadata_tags"}, "H.264", 16384, opacity=False, sound="aac",
     ),
     "webm": Container(
         "libvpx-vp9", {"crf": "16", "b": "0", "deadline": "good", "cpu-used": "3"},
         {"deadline": "realtime", "cpu-used": "6", "row-mt": "1"},
-        {}, "VP9", 65536, opacity=True,
+        {}, "VP9", 65536, opacity=True, sound="libopus",
     ),
 }  # fmt: skip
+#: Samples a second of sound that is mixed.
+SOUND_RATE = 48_000
 #: The colors of films that clmorph makes.
 OWN_TAGS = ColorTags(BT709, LIMITED, BT709, SRGB_CURVE)
 
@@ -72,6 +76,8 @@ class ClipWriter:
         Whether pictures have opacity, and whether they are written with 10 bits a channel.
     sounds
         `Clip.sounds`, if packets are copied from a clip.
+    mixed
+        Whether there is sound that `write_sound` encodes.
     changes
         Options of the encoder in place of the container's.
     """
@@ -91,6 +97,7 @@ class ClipWriter:
         clear: bool = False,
         deep: bool = False,
         sounds: Sequence[Any] = (),
+        mixed: bool = False,
         changes: Mapping[str, str] | None = None,
     ) -> None:
         import av
@@ -125,6 +132,10 @@ class ClipWriter:
             context.colorspace = tags.matrix if tags.matrix in MATRICES else matrix
             context.color_primaries, context.color_trc = tags.primaries, tags.transfer
             self._sounds = {each.index: self._copy_of(each, kind.words) for each in sounds}
+            self._mixed: Any = None
+            if mixed:
+                self._mixed = self._movie.add_stream(kind.sound, rate=SOUND_RATE, layout="stereo")
+                self._samples = 0
             self._stack = stack.pop_all()
 
     def _copy_of(self, sound: Any, words: str) -> Any:
@@ -171,9 +182,22 @@ class ClipWriter:
         packet.stream = self._sounds[packet.stream.index]
         self._movie.mux(packet)
 
+    def write_sound(self, samples: NDArray[np.float32]) -> None:
+        """Write the next samples of stereo sound, (2, n) in [-1, 1], `SOUND_RATE` a second."""
+        import av
+
+        sound = av.AudioFrame.from_ndarray(
+            np.ascontiguousarray(samples), format="fltp", layout="stereo"
+        )
+        sound.sample_rate, sound.time_base = SOUND_RATE, Fraction(1, SOUND_RATE)
+        sound.pts, self._samples = self._samples, self._samples + samples.shape[1]
+        self._movie.mux(self._mixed.encode(sound))
+
     def finish(self) -> None:
-        """Write what the encoder still holds; nothing can be written afterwards."""
+        """Write what the encoders still hold; nothing can be written afterwards."""
         self._movie.mux(self._stream.encode(None))
+        if self._mixed is not None:
+            self._movie.mux(self._mixed.encode(None))
 
 
 def even(pixels: NDArray[Any]) -> NDArray[Any]:

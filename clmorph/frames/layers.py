@@ -45,6 +45,7 @@ class Layers:
     `fields` are how each picture moves to the other end. `stage` is the grid of three (h, w)
     arrays: `agreement` and `thin`, how far both pictures agree and have but thin lines at t = 1/2,
     from 0 to 1, and `times`, when each place changes hands (`clmorph.frames.switching`).
+    Without `outlined` no figure stands before a ground.
     """
 
     def __init__(
@@ -54,10 +55,12 @@ class Layers:
         particles: Particles,
         canvases: tuple[Canvas, Canvas],
         operations: Operations,
+        *,
+        outlined: bool = True,
     ) -> None:
         space = particles.path_space
         self._operations = operations
-        figures = figures_of(measures, ends)
+        figures = figures_of(measures, ends) if outlined else None
         self._pictures = pictures = Pictures(ends, canvases, figures, space, operations)
         self.stage = pictures.stage
         sizes = len(measures[0]), len(measures[1])

@@ -176,6 +176,13 @@ def cases() -> dict[str, dict[str, Any]]:
             "unmatched": "fade", "path_space": "srgb", "barycentric": False, "sample": None,
             "seed": 0, "ease": "linear",
         },
+        "morph_clip": STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | playback | {
+            "source": [some["a"]] * 3, "target": some["b"], "every": 0.1, "max_pixels": 100,
+            "n_frames": 2, "duration": None, "fps": 2.0, "sigma": None,
+            "endpoints": "exact", "detail": "layers", "unmatched": "fade", "path_space": "srgb",
+            "barycentric": False, "sample": None, "seed": 0, "ease": "linear",
+            "feature_weight": 1.0, "landmarks": "auto", "splatting": "local",
+        },
         "inspect": images | STRENGTHS | SOLVER | LIFTING | GUIDES | shared | {
             "n_frames": 2, "divergence": True, "max_bytes": 1e9,
         },
@@ -370,7 +377,10 @@ def cases() -> dict[str, dict[str, Any]]:
         "ReferenceMorph.frame": {"self": some["reference"], "t": 0.5},
     }  # fmt: skip
     given["quality.path_divergence"].pop("max_iter")
-    given["mix"].pop("color_metric")  # maps are for two images
+    for name in ("mix", "morph_clip"):
+        given[name].pop("color_metric")  # maps are for two images
+    for name in ("preset", "weights"):
+        given["morph_clip"].pop(name, None)
     return given
 
 

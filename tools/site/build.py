@@ -34,10 +34,10 @@ INTERFACES = ("torch.sinkhorn_divergence", "jax.sinkhorn_divergence", "geomloss.
               "pot.solve_sample")  # fmt: skip
 SECTIONS = {
     "Films and pictures": (
-        "morph", "Morph", "MorphOptions", "load_options", "rearrange", "Rearrangement",
-        "RearrangeOptions", "recolor", "Recolored", "RecolorOptions", "recolor_clip", "Lut",
-        "fit_lut", "apply_lut", "read_lut", "write_lut", "mix", "Mixes", "save", "load", "Archive",
-        "read_image", "read_labels", "write_image", "fit", "inspect",
+        "morph", "Morph", "MorphOptions", "load_options", "morph_clip", "rearrange",
+        "Rearrangement", "RearrangeOptions", "recolor", "Recolored", "RecolorOptions",
+        "recolor_clip", "Lut", "fit_lut", "apply_lut", "read_lut", "write_lut", "mix", "Mixes",
+        "save", "load", "Archive", "read_image", "read_labels", "write_image", "fit", "inspect",
         "Inspection", "particles", "Particles", "density_path", "DensityPath",
     ),
     "Transport": (

@@ -1,0 +1,68 @@
+"""The command ``clmorph morph`` with a clip: one becomes the other while both play."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from clmorph._shared.printable import printable
+from clmorph.cli.common import read_picture
+from clmorph.cli.request import Request
+from clmorph.clips.reading import is_clip
+from clmorph.errors import InputError
+from clmorph.images.resizing import as_unit
+from clmorph.output.save import Output
+from clmorph.pipeline.clip_morph import EVERY, clip_film
+from clmorph.pipeline.clip_writing import check_clip_outputs, write_clip_film
+
+
+def has_clip(request: Request) -> bool:
+    """Return whether one of the pictures is a clip."""
+    return any(map(is_clip, request.images))
+
+
+def run_clips(request: Request) -> None:
+    """Write a film in which one becomes the other, and print a summary."""
+    options, places = request.options, request.places()
+    check_clip_outputs(places)
+    request.check_files()
+    if len(request.images) != 2:
+        raise InputError(
+            f"{len(request.images)} pictures and clips are given: expected two, of which one or "
+            "both are clips"
+        )
+    if request.beside:
+        raise InputError(f"--{next(iter(request.beside))} is for stills: leave it out for a clip")
+    if "size" not in request.named:
+        options = options.replace(size=None)
+    ends = [
+        path if is_clip(path) else as_unit(read_picture(path, request.max_pixels))
+        for path in request.images
+    ]
+    with request.stages() as stages:
+        stages.count("preparation")
+        operations = request.open()
+        film = clip_film(
+            ends[0], ends[1], options, every=EVERY,
+            rate=options.fps if "fps" in request.named else None,
+            max_pixels=request.max_pixels, backend=operations, progress=stages, given={},
+        )  # fmt: skip
+        parameters = request.metadata(options, operations)
+        frames = write_clip_film(film, places, parameters, request.texts(options, operations))
+        summary: dict[str, Any] = {
+            "outputs": [{"path": str(each.path), "format": each.name} for each in places],
+            "frames": frames,
+            "transition": film.count,
+            "fps": float(film.rate),
+            "sizes": [list(film.size)],
+            **parameters,
+        }
+    request.finish(summary, stages, partial(_last_line, places))
+
+
+def _last_line(places: Sequence[Output], summary: dict[str, Any]) -> str:
+    """Return the summary of the run for people."""
+    names = ", ".join(printable(place.path) for place in places)
+    return (
+        f"{names}: {summary['frames']} frames, {summary['frames'] / summary['fps']:.3g} s, made in "
+        f"{summary['seconds']['total']:.1f} s"
+    )
