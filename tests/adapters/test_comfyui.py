@@ -265,6 +265,43 @@ def test_recoloring(graph, torch, rng):
     assert not np.array_equal(found.numpy()[:, :, :5], images[:, :, :5])
 
 
+def test_tables(graph, torch, rng, tmp_path, monkeypatch):
+    """A table is read again when its file has changed, and applied as `apply_lut` does."""
+    comfyui.install(monkeypatch, inputs=tmp_path)
+    levels = np.linspace(0.0, 1.0, 5)
+    table = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
+    clmorph.write_lut(tmp_path / "look.cube", clmorph.Lut(1.0 - table))
+    Pictures.images = batch(torch, rng, 2, 6, 7, 4)
+    hidden = np.zeros((1, 6, 7), np.float32)
+    hidden[:, :, :3] = 1
+    Pictures.masks = torch.from_numpy(hidden)
+    given = {"images": ("p", 0), "lut": ("l", 0), "strength": 1.0, "device": "numpy"}
+    plan = {
+        "p": ("Pictures", {"seed": 0}),
+        "l": ("ClmorphLoadLut", {"path": "look.cube"}),
+        "a": ("ClmorphApplyLut", given),
+    }
+    ((found,),) = graph.run(plan, "a")
+    images = Pictures.images.numpy()
+    assert np.allclose(found.numpy()[..., :3], 1.0 - images[..., :3], atol=1e-6)
+    assert np.array_equal(found.numpy()[..., 3], images[..., 3])
+    graph.run(plan, "a")
+    assert graph.runs.count("l") == 1
+    clmorph.write_lut(tmp_path / "look.cube", clmorph.Lut(0.0 * table))
+    plan["a"] = ("ClmorphApplyLut", given | {"mask": ("p", 1)})
+    ((found,),) = graph.run(plan, "a")
+    assert graph.runs.count("l") == 2
+    assert not found.numpy()[:, :, :3, :3].any()
+    assert np.array_equal(found.numpy()[:, :, 3:], images[:, :, 3:])
+    plan["l"] = ("ClmorphLoadLut", {"path": "missing.cube"})
+    (fault,) = graph.faults(plan)
+    assert "missing.cube: no such file" in fault
+    (tmp_path / "bad.cube").write_text("LUT_3D_SIZE 2\nnan 0 0\n")
+    plan["l"] = ("ClmorphLoadLut", {"path": "bad.cube"})
+    with pytest.raises(clmorph.FileError, match=r"bad\.cube"):
+        graph.run(plan, "a")
+
+
 def test_the_user_stops(graph, torch, monkeypatch):
     """In a solve, and between two frames; the next run is whole."""
     Pictures.images, Pictures.several = squares(torch), [squares(torch, shift=4)]

@@ -43,7 +43,7 @@ def make_folder(folder):
     return folder
 
 
-def install(monkeypatch, stop_after=None):
+def install(monkeypatch, stop_after=None, inputs="."):
     """Put the modules of ComfyUI that nodes use in their places."""
     Bar.shown = []
     comfy, utils, management = (
@@ -56,7 +56,9 @@ def install(monkeypatch, stop_after=None):
             raise Interrupted
 
     management.throw_exception_if_processing_interrupted = throw_exception_if_processing_interrupted
-    for module in (comfy, utils, management):
+    folders = types.ModuleType("folder_paths")
+    folders.get_input_directory = lambda: str(inputs)
+    for module in (comfy, utils, management, folders):
         monkeypatch.setitem(sys.modules, module.__name__, module)
 
 

@@ -1,4 +1,4 @@
-"""The nodes: Morph, Mix, Rearrange and Recolor.
+"""The nodes: Morph, Mix, Rearrange, Recolor, Load LUT and Apply LUT.
 
 A node is a class with the names that ComfyUI asks for: ``INPUT_TYPES``, ``RETURN_TYPES``,
 ``FUNCTION``, ``CATEGORY`` and ``DESCRIPTION``.
@@ -8,9 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from clmorph._shared.printable import printable
 from clmorph._shared.typing import AnyArray
 from clmorph.adapters.comfyui import widgets
-from clmorph.adapters.comfyui.running import Running
+from clmorph.adapters.comfyui.running import Running, input_path
 from clmorph.adapters.comfyui.tensors import (
     as_image_and_mask,
     as_images,
@@ -22,15 +23,20 @@ from clmorph.adapters.comfyui.tensors import (
 from clmorph.backends.select import get_backend
 from clmorph.errors import InputError
 from clmorph.frames.sequence import FrameSequence
+from clmorph.images.looks import Lut, read_lut
 from clmorph.output.options import PlaybackOptions
+from clmorph.pipeline.luts import apply_lut
 from clmorph.pipeline.mixing.mix import mix
 from clmorph.pipeline.morph import morph
 from clmorph.pipeline.presets import AUTO
 from clmorph.pipeline.rearrange import rearrange
 from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.recipe import digest
 from clmorph.pipeline.recolor import recolor
 from clmorph.pipeline.recolor_options import RecolorOptions
 
+#: The type of tables of colors in ComfyUI's graphs.
+LUT = "CLMORPH_LUT"
 #: The names of the inputs for pictures of a mix.
 LETTERS = "abcd"
 Inputs = dict[str, dict[str, widgets.Widget]]
@@ -322,11 +328,88 @@ class Recolor(Node):
         return as_image_and_mask(frames, has_opacity(images))[:1]
 
 
+class LoadLut(Node):
+    """Read a table of colors."""
+
+    RETURN_TYPES: ClassVar[tuple[str, ...]] = (LUT,)
+    RETURN_NAMES: ClassVar[tuple[str, ...]] = ("lut",)
+    OUTPUT_TOOLTIPS: ClassVar[tuple[str, ...]] = ("The table, for Apply LUT.",)
+    DESCRIPTION = "Reads a table of colors: a .cube file, or a HALD picture."
+
+    @classmethod
+    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
+        """Return the inputs."""
+        return {
+            "required": {
+                "path": widgets.line(
+                    "look.cube", "Path of the file, from ComfyUI's folder for inputs on."
+                )
+            }
+        }
+
+    @classmethod
+    def VALIDATE_INPUTS(cls, path: str | None = None) -> bool | str:  # noqa: N802
+        """Return True, or that there is no such file; a path that a node gives comes later."""
+        if path is None or input_path(path).is_file():
+            return True
+        return f"{printable(path)}: no such file; expected a .cube file or a HALD picture"
+
+    @classmethod
+    def IS_CHANGED(cls, path: str) -> str:  # noqa: N802 (ComfyUI's)
+        """Return what differs when the content of the file does."""
+        file = input_path(path)
+        return digest(file) if file.is_file() else ""
+
+    def run(self, path: str) -> tuple[Lut]:
+        """Return the table."""
+        return (read_lut(input_path(path)),)
+
+
+class ApplyLut(Node):
+    """Apply a table of colors to pictures."""
+
+    RETURN_TYPES: ClassVar[tuple[str, ...]] = ("IMAGE",)
+    RETURN_NAMES: ClassVar[tuple[str, ...]] = ("images",)
+    OUTPUT_TOOLTIPS: ClassVar[tuple[str, ...]] = ("The pictures in their new colors.",)
+    DESCRIPTION = "Applies a table of colors to every picture of a batch."
+
+    @classmethod
+    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
+        """Return the inputs."""
+        return {
+            "required": {
+                "images": widgets.image("The pictures to be recolored."),
+                "lut": (LUT, {"tooltip": "The table, from Load LUT."}),
+                "strength": widgets.option(RecolorOptions, "strength"),
+            },
+            "optional": {
+                "mask": widgets.mask("1 where pictures are recolored; other pixels stay."),
+                "device": widgets.DEVICE,
+            },
+        }
+
+    def run(
+        self, images: Any, lut: Lut, strength: float, mask: Any = None, device: str = "auto"
+    ) -> tuple[Any]:
+        """Return the recolored pictures."""
+        pictures = as_images("images", images)
+        masks: list[Any] = [None] * len(pictures)
+        if mask is not None:
+            masks = list(as_masks("mask", mask, [picture.shape for picture in pictures]))
+        running, operations = Running(len(pictures)), get_backend(device)
+        found = (
+            np.asarray(apply_lut(picture, lut, mask=each, strength=strength, backend=operations))
+            for picture, each in zip(pictures, masks, strict=True)
+        )
+        return as_image_and_mask(list(running.each(found)), has_opacity(images))[:1]
+
+
 #: The classes by the names under which ComfyUI's workflows keep them.
 NODE_CLASS_MAPPINGS: dict[str, type[Node]] = {
-    f"Clmorph{kind.__name__}": kind for kind in (Morph, Mix, Rearrange, Recolor)
+    f"Clmorph{kind.__name__}": kind for kind in (Morph, Mix, Rearrange, Recolor, LoadLut, ApplyLut)
 }
 #: The names that people see.
 NODE_DISPLAY_NAME_MAPPINGS = {
-    name: f"{kind.__name__} (clmorph)" for name, kind in NODE_CLASS_MAPPINGS.items()
+    name: f"{kind.__name__.replace('Lut', ' LUT')} (clmorph)"
+    for name, kind in NODE_CLASS_MAPPINGS.items()
 }

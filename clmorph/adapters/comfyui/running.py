@@ -1,10 +1,19 @@
-"""Progress and interruption of a node, which are ComfyUI's where it runs."""
+"""Progress, interruption and files of a node, which are ComfyUI's where it runs."""
 
 import sys
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TypeVar
 
 Item = TypeVar("Item")
+
+
+def input_path(path: str) -> Path:
+    """Return a path, from ComfyUI's folder for inputs on if it is relative."""
+    folders = sys.modules.get("folder_paths")
+    return Path(path) if folders is None else Path(folders.get_input_directory()) / path
+
+
 #: Steps of the bar for each unit of work.
 STEPS = 100
 
