@@ -87,7 +87,7 @@ class Clip:
                     f"{self.path}: this is no clip that can be read ({reason_of(error)}); expected "
                     "a film such as .mp4, .mov, .mkv or .webm"
                 ) from None
-            except OSError as error:
+            except (OSError, ValueError) as error:
                 raise FileError(f"{self.path}: it cannot be read ({reason_of(error)})") from None
             self._open(av)
             self._stack = stack.pop_all()
@@ -303,7 +303,7 @@ def is_clip(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             start = file.read(2 * _PACKET + 1)
-    except OSError:
+    except (OSError, ValueError):
         return False
     if start[4:8] == b"ftyp" and start[8:12] in _PICTURES:
         return False
