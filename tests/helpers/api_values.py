@@ -154,6 +154,13 @@ LIFTING = {"extent": "true", "mass": "uniform", "weights": None, "color_space": 
 GUIDES = {"landmarks": "auto", "labels": None, "features": None, "feature_weight": 1.0}
 
 
+#: Options of `clmorph.recolor`.
+RECOLOR = {
+    "strength": 0.5, "color_space": "oklab", "blur": 0.1, "reach": 1.0, "feather": 1.0,
+    "reference_frame": None,
+}  # fmt: skip
+
+
 def cases() -> dict[str, dict[str, Any]]:
     """Return good arguments, all of them, of every public function."""
     some = examples()
@@ -208,22 +215,20 @@ def cases() -> dict[str, dict[str, Any]]:
         "Mixes.save": {"self": some["mixes"], "path": "out.png", "stops": None},
         "recolor": {
             "image": some["a"], "like": some["b"], "options": None, "mask": np.ones((3, 3)),
-            "backend": "numpy", "progress": Idle(), "strength": 0.5, "color_space": "oklab",
-            "blur": 0.1, "reach": 1.0, "feather": 1.0, "reference_frame": None,
+            "backend": "numpy", "progress": Idle(), **RECOLOR,
         },
         "recolor_clip": {
             "clip": "none.mp4", "like": some["b"], "path": "out.mp4", "options": None,
-            "max_pixels": 1000, "backend": "numpy", "progress": Idle(), "strength": 0.5,
+            "max_pixels": 1000, "backend": "numpy", "progress": Idle(), **RECOLOR,
         },
         "fit_lut": {
             "image": some["a"], "like": some["b"], "options": None, "size": 3,
-            "mask": np.ones((3, 3)), "backend": "numpy", "progress": Idle(), "strength": 0.5,
+            "mask": np.ones((3, 3)), "backend": "numpy", "progress": Idle(), **RECOLOR,
         },
         "apply_lut": {
             "image": some["a"], "lut": some["lut"], "mask": np.ones((3, 3)), "strength": 0.5,
             "backend": "numpy",
         },
-        "Lut": {"table": np.zeros((2, 2, 2, 3)), "low": 0.0, "high": 1.0},
         "read_lut": {"path": "none.cube", "max_pixels": 1000},
         "write_lut": {"path": "out.cube", "lut": some["lut"]},
         "RecolorOptions.replace": {
