@@ -153,8 +153,8 @@ def unknown_option(name: str, known: Mapping[str, Any]) -> str:
     """Return the error message for a name that belongs to no option."""
     if name in ("backend", "device"):
         return (
-            f"unknown option {name!r}; the device is no option of the picture: choose it by "
-            "--device or --backend of the command line, or by the argument backend of clmorph.morph"
+            f"unknown option {name!r}; the device is not a morph option; use --device or "
+            "--backend of the command line, or the argument backend of clmorph.morph"
         )
     near = get_close_matches(name[:99], list(known), 1)
     few = len(known) <= FEW

@@ -47,7 +47,11 @@ class FileName(click.Path):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:  # noqa: D102 (click's)
         if not str(value) or "\0" in str(value):
-            self.fail(f"{str(value)!r} is no name; expected that of a file.", param, ctx)
+            self.fail(
+                f"{str(value)!r} is an invalid file name; expected a name such as out.gif",
+                param,
+                ctx,
+            )
         return super().convert(value, param, ctx)
 
 

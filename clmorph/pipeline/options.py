@@ -267,8 +267,7 @@ class MorphOptions(
         for name in ("preset", "draft"):
             if name in given:
                 raise InputError(
-                    f"{name}: these options are chosen already; make others by "
-                    f"MorphOptions({name}=...)"
+                    f"replace() does not accept {name}; construct MorphOptions({name}=...)"
                 )
         return type(self)(**MorphOptions.layered((self.as_dict(), given)))
 

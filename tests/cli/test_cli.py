@@ -488,8 +488,8 @@ def test_frames_into_the_folder_where_one_stands(pictures, monkeypatch, capfd):
         (".", ". exists already"),
         ("..", ".. exists already"),
         ("/", "/ exists already"),
-        ("", "'' is no name"),
-        ("a\0b", r"'a\x00b' is no name"),
+        ("", "'' is an invalid file name"),
+        ("a\0b", r"'a\x00b' is an invalid file name"),
         ("x.gif/", "leave out the '/' or the ending"),
     ],
 )
@@ -514,7 +514,7 @@ def test_outputs_that_are_none(pictures, capfd, output, words):
 )
 def test_names_that_are_empty(pictures, capfd, arguments):
     assert main(arguments) == 2
-    assert "'' is no name" in capfd.readouterr().err
+    assert "'' is an invalid file name" in capfd.readouterr().err
 
 
 def test_names_of_any_characters(pictures, capfd):

@@ -64,8 +64,8 @@ COARSER = 10.0
 #: are subtracted, and they miss the same pairs.
 PROLONGATION_TRUNCATION = 3e-3
 #: Residual to reach in the coarse problem: this share of the residual over the points, and at
-#: least this share of `tol`. Few clusters go on to the last share: an iteration over them takes a
-#: tenth of one over the points, so that what they leave must not cost another one.
+#: least this share of `tol`. With few clusters the coarse level is solved further, to the last
+#: share: its iterations are cheap, a tenth of those over the points.
 CYCLE_SHARE, CYCLE_FLOOR, FEW_CLUSTERS_FLOOR = 0.02, 0.4, 0.1
 #: Where this share of the residual is below this many times `tol`, stored pairs are solved to the
 #: least residual at once: they are nearly all of the problem, so that the cycle can be the last.

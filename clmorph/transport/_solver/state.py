@@ -10,7 +10,7 @@ from clmorph.transport._solver.problem import Problem
 #: Rounding can be the cause of a residual of at most this many times the bound on the rounding of
 #: one softmin.
 ROUNDING_MARGIN = 8.0
-#: A dual may seem to have fallen by this share of the largest effect of rounding on the residual.
+#: Tolerance on an apparent decrease of the dual, relative to the rounding bound of the residual.
 SLACK = 1e-2
 #: The share of this fall that the dual's own rounding may be.
 DUAL_SHARE = 0.1
