@@ -58,8 +58,9 @@ class WeightedPoints:
 
 #: Both kinds of measure that the solver takes.
 AnyMeasure = Measure | WeightedPoints
-#: Argument of the public functions: a measure, or (weights (N,), points (N, D) or (N,)).
-MeasureLike = AnyMeasure | tuple[ArrayLike, ArrayLike]
+#: Argument of the public functions: a measure, (weights (N,), points (N, D) or (N,)), or points
+#: alone, an array, whose weights are then 1 / N.
+MeasureLike = AnyMeasure | tuple[ArrayLike, ArrayLike] | ArrayLike
 
 
 def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
@@ -136,7 +137,7 @@ def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, Weighte
 
 
 def as_measure(name: str, value: Any) -> AnyMeasure:
-    """Return a usable measure unchanged, or one of (weights (N,), points (N, D) or (N,))."""
+    """Return a usable measure unchanged, or one of (weights, points) or of points alone."""
     if isinstance(value, Measure):
         check_measure(name, value)
         return value
@@ -144,10 +145,16 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
         made = _weighted_points(name, value.weights, value.points, value.offsets)
         ours = (value.weights, value.points, value.offsets)
         return value if all(map(_is_plain, ours)) else made
+    if getattr(value, "shape", None) and not isinstance(value, (tuple, list)):
+        points = as_floats(f"{name}: its points", value, "points (N, D)")
+        if points.ndim <= 2 and len(points):
+            return _weighted_points(name, np.full(len(points), 1.0 / len(points)), points)
     if not isinstance(value, (tuple, list)) or len(value) != 2:
+        shape = getattr(value, "shape", None)
+        of = f" of shape {shape}" if isinstance(shape, tuple) else ""
         raise InputError(
-            f"{name} is a {_kind(value)}: expected a Measure (clmorph.lift(image) makes one), or "
-            "a pair (weights (N,), points (N, D))"
+            f"{name} is a {_kind(value)}{printable(of)}: expected a Measure (clmorph.lift(image) "
+            "makes one), a pair (weights (N,), points (N, D)), or an array of points (N, D)"
         )
     return _weighted_points(name, *value)
 

@@ -25,13 +25,18 @@ from clmorph._shared.options import Options, specifications, unknown_option
 from clmorph._shared.validation import check_choice, check_progress, is_path, shown
 from clmorph.errors import InputError, OutputError
 from clmorph.frames.sequence import FrameSequence
+from clmorph.output.formats.archive import write_solved
 from clmorph.output.formats.format import PACE, SIZES, Format
 from clmorph.output.formats.registry import FORMATS, by_ending, usual_endings
+from clmorph.output.formats.solved import SAVED as SAVED_RESULTS
 from clmorph.output.metadata import checked_parameters
 from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.output.playback import Motion, motion_of
 from clmorph.output.recording import Recording, StageProgress, recorded
 from clmorph.output.together import write_together
+from clmorph.transport.divergence import Divergence
+from clmorph.transport.plan import Plan
+from clmorph.transport.potentials import Potentials
 
 #: The options of `save`.
 SAVED = ("fps", "duration", "hold", "loop", "reverse", *specifications(FrameStyle))
@@ -112,6 +117,15 @@ def write_all(
     write_together([(each.place, each.path, partial(write, each)) for each in outputs], texts)
 
 
+def _save_result(value: Any, output: Output, given: Mapping[str, Any]) -> None:
+    """Write a result of the solver."""
+    if output.name != "npz" or given:
+        raise InputError(
+            f"{output.path}: a {type(value).__name__} is saved as .npz, without other options"
+        )
+    write_together([(output.place, output.path, partial(write_solved, value))])
+
+
 def _by_ending(path: Path) -> Format:
     format = by_ending(path)
     if format is not None:
@@ -123,7 +137,7 @@ def _by_ending(path: Path) -> Format:
 
 
 def save(
-    morphs: FrameSequence | Sequence[FrameSequence],
+    morphs: FrameSequence | Sequence[FrameSequence] | Potentials | Plan | Divergence,
     path: str | PathLike[str],
     *,
     format: str | None = None,
@@ -131,12 +145,14 @@ def save(
     progress: StageProgress | None = None,
     **given: Any,
 ) -> None:
-    """Write a morph, or a chain of morphs, to a file chosen by its ending.
+    """Write a morph, a chain of morphs, or a result of the solver to a file chosen by its ending.
 
     Parameters
     ----------
     morphs : Morph or sequence of Morph
         One morph, or a chain in which each begins with the picture that the one before ends with.
+        Or a Potentials, Plan, Divergence or PotentialsBatch, for ``.npz`` without other options:
+        `clmorph.load` reads it, and it holds no pickles.
     path : path
         ``.gif``, ``.webp``, ``.apng`` (animated PNG), ``.mp4``, ``.webm``, ``.html`` (a page to
         play with), ``.png`` (a contact sheet), ``.npz`` (see `clmorph.load`), ``.tif`` (one
@@ -177,6 +193,9 @@ def save(
     ...     clmorph.load(Path(folder) / "out.npz")
     <Archive of 7 frames, 2 plans>
     """
+    if isinstance(morphs, SAVED_RESULTS):
+        _save_result(morphs, Output(path, format), given)
+        return
     chain = _as_chain(morphs)
     output = Output(path, format)
     for name in given:

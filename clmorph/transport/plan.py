@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.notebook import table
-from clmorph._shared.typing import Array, IntArray
-from clmorph._shared.validation import shown
+from clmorph._shared.printable import size_text
+from clmorph._shared.typing import AnyArray, Array, IntArray
+from clmorph._shared.validation import check_number, shown
 from clmorph.backends.arrays import as_floats, pyopencl_needed
 from clmorph.errors import InputError
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 #: Bytes of a kept pair: 4 for its column and 8 for its mass.
 BYTES_PER_PAIR = 12
+#: The default limit of a dense plan, in bytes.
+MAX_DENSE = 2.0**30
 
 
 class DevicePlan(NamedTuple):
@@ -236,6 +239,46 @@ class Plan:
             to_device(queue, self.indices, np.int32),
             to_device(queue, self.mass, real_type(queue, dtype)),
         )
+
+    def toarray(self, *, max_bytes: float = MAX_DENSE) -> Array:
+        """Return the kept pairs as a dense (N, M) array; `numpy.asarray` of a plan is the same.
+
+        Parameters
+        ----------
+        max_bytes : float
+            The limit of its memory, in bytes.
+
+        Raises
+        ------
+        InputError
+            If the array would take more.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> x, y = np.array([0.0, 0.5, 1.0]), np.array([0.25, 0.75])
+        >>> potentials = clmorph.sinkhorn(x, y, blur=0.1, reach=0.3, backend="numpy")
+        >>> clmorph.transport_plan(x, y, potentials, backend="numpy").toarray().round(3).tolist()
+        [[0.27, 0.0], [0.144, 0.144], [0.0, 0.27]]
+        """
+        max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
+        size = 8 * self.shape[0] * self.shape[1]
+        if size > max_bytes:
+            raise InputError(
+                f"the dense plan of {self.shape[0]} x {self.shape[1]} points takes "
+                f"{size_text(size)}: expected at most {size_text(max_bytes)}; use to_scipy(), "
+                "or give toarray a larger max_bytes"
+            )
+        dense = np.zeros(self.shape)
+        dense[self.rows, self.indices] = self.mass
+        return dense
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> AnyArray:
+        """Return the dense array of `toarray`, which is always a copy."""
+        if copy is False:
+            raise InputError("a dense plan is made anew: expected copy=None or copy=True")
+        return self.toarray().astype(dtype or float, copy=False)
 
     def to_scipy(self) -> csr_array[Any, tuple[int, int]]:
         """Return the plan as a `scipy.sparse.csr_array` of shape (N, M).

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -54,6 +54,10 @@ class PotentialsBatch(Sequence[Potentials]):
                 self.statuses[number] = part.statuses[place]
             self.residuals[part.numbers], self.n_iter[part.numbers] = part.residuals, part.n_iter
         self._made: dict[int, Potentials] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what is pickled: all potentials, which need no device."""
+        return batch_of, (list(self),)
 
     def __len__(self) -> int:
         return len(self.statuses)
@@ -144,3 +148,9 @@ class Single:
 
 
 Part = Solved | Single
+
+
+def batch_of(potentials: Sequence[Potentials]) -> PotentialsBatch:
+    """Return potentials as a batch."""
+    parts: list[Part] = [Single(number, each) for number, each in enumerate(potentials)]
+    return PotentialsBatch(parts, len(parts))

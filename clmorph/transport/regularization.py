@@ -55,6 +55,13 @@ def regularization(
     >>> regularization(0.5, None)
     Regularization(blur=0.5, reach=None, epsilon=0.25, rho=(inf, inf))
     """
+    for value in (blur, reach):
+        # As other libraries are called; a pair of reaches is no array of measures.
+        if len(getattr(value, "shape", ())) > 1 or (value is blur and _has_axes(blur)):
+            raise InputError(
+                "blur and reach are lengths, not arrays: weights and points of a measure are one "
+                "argument, as in clmorph.sinkhorn((a, x), (b, y), blur=0.05)"
+            )
     if epsilon is not None:
         if blur is not None:
             raise InputError(
@@ -75,6 +82,11 @@ def regularization(
     return Regularization(
         blur, lengths[0] if lengths[0] == lengths[1] else lengths, blur**2, (rhos[0], rhos[1])
     )
+
+
+def _has_axes(value: Any) -> bool:
+    """Return whether a value is an array with axes, or a list of numbers."""
+    return bool(getattr(value, "shape", ())) or (isinstance(value, (list, tuple)) and bool(value))
 
 
 def _check_blur(value: Any) -> float:

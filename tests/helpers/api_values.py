@@ -327,6 +327,7 @@ def cases() -> dict[str, dict[str, Any]]:
             "target": some["target"].positions,
         },
         "Plan.to_scipy": {"self": some["plan"]},
+        "Plan.toarray": {"self": some["plan"], "max_bytes": 1e6},
         "Plan.to_device": {"self": some["plan"], "queue": some["queue"], "dtype": None},
         "Particles.mass": {"self": some["morph"].particles, "t": 0.5},
         "Potentials.map": {

@@ -147,7 +147,7 @@ ONE = (np.ones(3), np.zeros((3, 2)))
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (np.zeros((4, 5)), "expected a Measure"),
+        (np.zeros((2, 4, 5)), "expected a Measure"),
         (None, "expected a Measure"),
         ((np.ones(3),), "expected a Measure"),
         (("a", "b"), "no array of numbers"),

@@ -16,6 +16,7 @@ from clmorph.errors import InputError
 from clmorph.output.bounded import MAX_HEAD, UNREADABLE, from_text
 from clmorph.output.formats.format import Format
 from clmorph.output.formats.npz import Arrays
+from clmorph.output.formats.solved import RECORD, plan_is_valid, put_together, taken_apart
 from clmorph.output.metadata import as_text
 from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
@@ -134,8 +135,15 @@ def _write_array(archive: zipfile.ZipFile, name: str, array: Any) -> None:
         np.lib.format.write_array(stream, np.asarray(array), allow_pickle=False)
 
 
-def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
-    """Load a morph that was saved as ``.npz``.
+def write_solved(value: Any, file: Path) -> None:
+    """Write a result of the solver."""
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:
+        for name, array in taken_apart(value).items():
+            _write_array(archive, name, array)
+
+
+def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Any:
+    """Load a morph, or a result of the solver, that was saved as ``.npz``.
 
     Nothing in the file is executed, and the sizes of its arrays are checked before they are read.
     So a file from an unknown source can be refused, but cannot take more memory than `max_bytes`.
@@ -149,7 +157,8 @@ def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
 
     Returns
     -------
-    Archive
+    Archive, or Potentials, Plan, Divergence or PotentialsBatch
+        What was saved. Potentials come without `measures`.
 
     Raises
     ------
@@ -183,17 +192,17 @@ def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
                     f"{size_text(max_bytes)}; if you trust the file, load it with "
                     f"max_bytes={size}"
                 )
-            return _read(arrays)
+            return put_together(arrays) if RECORD in arrays.names else _read(arrays)
     except InputError:
         raise
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({reason_of(error)})") from None
-    except UNREADABLE as error:
+    except (*UNREADABLE, RecursionError, TypeError, AttributeError) as error:
         raise InputError(
-            f"{path}: not a morph saved as .npz, or damaged ({reason_of(error)}); expected a "
-            "file that clmorph has written"
+            f"{path}: not a morph or result saved as .npz, or damaged ({reason_of(error)}); "
+            "expected a file that clmorph has written"
         ) from None
 
 
@@ -225,20 +234,11 @@ def _read_plan(arrays: Arrays, number: int) -> Plan | Barycentric:
         )
     found = {name: arrays.read(start + name, *kind) for name, kind in PLAN_ARRAYS.items()}
     rows, columns = (int(side) for side in found["shape"])
-    indptr, indices = found["indptr"], found["indices"]
-    sound = (
-        len(indptr) == rows + 1 == len(found["whole_row_mass"]) + 1
-        and columns == len(found["whole_column_mass"])
-        and len(indices) == len(found["mass"])
-        and indptr[0] == 0
-        and indptr[-1] == len(indices)
-        and bool(np.all(np.diff(indptr) >= 0))
-        and bool(np.all((indices >= 0) & (indices < columns)))
-    )
-    if not sound:
-        raise ValueError("its plan is not valid")
     parts: dict[str, Any] = found | {"shape": (rows, columns)}
-    return Plan(**parts)
+    plan = Plan(**parts)
+    if not plan_is_valid(plan):
+        raise ValueError("its plan is not valid")
+    return plan
 
 
 def read_metadata(path: Path) -> str:
