@@ -71,7 +71,8 @@ def sinkhorn(
     Parameters
     ----------
     source, target : Measure, WeightedPoints, (weights (N,), points (N, D)), or points (N, D)
-        Points alone weigh 1 / N each. Both in one space, with D from 1 to 11. Weights may be zero, and their sums may differ.
+        Both in one space, with D from 1 to 11. Weights may be zero, and their sums may differ.
+        Points alone weigh 1 / N each.
     blur : float, optional
         Entropic length scale, in the points' unit (for images: the longer side); 0.03 if neither
         `blur` nor `epsilon` is given.
