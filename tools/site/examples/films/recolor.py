@@ -26,3 +26,10 @@ for ax, (name, picture) in zip(axes, shown.items(), strict=True):
 # %%
 
 recolored
+
+# %%
+# The change of colors is also a table, by which other pictures are recolored, and clips
+# (`clmorph.recolor_clip`). `clmorph.write_lut` writes it for grading programs.
+
+look = clmorph.fit_lut(photograph, like)
+clmorph.apply_lut(clmorph.fit(data.chelsea(), 192), look)
