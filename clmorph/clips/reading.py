@@ -36,7 +36,7 @@ class Frame(NamedTuple):
 
     #: (H, W, 3) array of the clip's own R'G'B', uint8 or (of more than 8 bits a channel) uint16.
     pixels: NDArray[Any]
-    #: When it is shown, in seconds from the clip's own zero.
+    #: When it is shown, in seconds.
     time: Fraction
 
 
@@ -102,6 +102,8 @@ class Clip:
         self._video = stream = pictures[0]
         stream.thread_type = "AUTO"
         self.sounds = list(streams.audio)
+        # A recording of a broadcast begins at any time, with the sound.
+        self._zero = Fraction(max(0, self._container.start_time or 0), 1_000_000)
         self.time_base = Fraction(stream.time_base or Fraction(1, 1000))
         rate = stream.average_rate or stream.guessed_rate or USUAL_RATE
         self.rate = Fraction(rate) if 0 < rate <= FASTEST else USUAL_RATE
@@ -201,7 +203,7 @@ class Clip:
             for packet in self._container.demux([self._video, *self.sounds]):
                 if packet.stream is not self._video:
                     if packet.dts is not None:
-                        sounds.append(packet)
+                        sounds.append(self._from_zero(packet))
                     continue
                 for frame in packet.decode():
                     if frame.is_corrupt:
@@ -216,6 +218,12 @@ class Clip:
             self._check_end(last, count)
             if sounds:
                 yield _Decoded(None, last, sounds)
+
+    def _from_zero(self, packet: Any) -> Any:
+        begin = round(self._zero / packet.time_base)
+        packet.dts -= begin
+        packet.pts = None if packet.pts is None else packet.pts - begin
+        return packet
 
     def _time(self, frame: Any, last: Fraction, count: int) -> Fraction:
         """Return when a frame is shown: later than the last one, by the rate if none is given."""
@@ -266,7 +274,7 @@ class Clip:
         pixels: NDArray[Any] = found.to_ndarray()
         if self._turns:
             pixels = np.ascontiguousarray(np.rot90(pixels, self._turns))
-        return Frame(pixels, time)
+        return Frame(pixels, time - self._zero)
 
     def at(self, time: float) -> Frame | None:
         """Return the frame that is shown at a time in seconds from the start; None beyond the end.

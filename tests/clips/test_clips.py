@@ -161,6 +161,20 @@ def test_one_frame_is_found_by_number_and_by_time(tmp_path):
         assert clip.numbered(20) is None
 
 
+def test_a_recording_that_begins_late_is_written_from_zero_with_its_sound(tmp_path):
+    source, target = tmp_path / "in.ts", tmp_path / "out.mp4"
+    ffmpeg(*PICTURE, *SINE, "-pix_fmt", "yuv420p", "-c:v", "libx264", "-c:a", "mp2", source)
+    copied(source, target)
+    starts = {}
+    for path in (source, target):
+        for stream in ("v", "a"):
+            starts[path, stream] = float(asked(path, "stream=start_time", stream)[0])
+    assert starts[source, "v"] > 1
+    assert min(starts[target, "v"], starts[target, "a"]) < 0.05
+    apart = [starts[path, "v"] - starts[path, "a"] for path in (source, target)]
+    assert abs(apart[0] - apart[1]) < 0.01
+
+
 def cut(path, share, target):
     target.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
 
