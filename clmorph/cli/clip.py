@@ -46,6 +46,8 @@ def run_clips(request: Request) -> None:
             rate=options.fps if "fps" in request.named else None,
             max_pixels=request.max_pixels, backend=operations, progress=stages, given={},
         )  # fmt: skip
+        if options.duration is None:  # the recipe has the rate of the film
+            options = options.replace(fps=float(film.rate))
         parameters = request.metadata(options, operations)
         frames = write_clip_film(film, places, parameters, request.texts(options, operations))
         summary: dict[str, Any] = {

@@ -3,6 +3,7 @@
 import itertools
 import json
 import subprocess
+import sys
 from fractions import Fraction
 from pathlib import Path
 
@@ -201,6 +202,41 @@ def test_films_and_their_sounds(device, films, capfd):
     sound = heard("d.mp4")
     assert loudness(sound, 440, 0.2, 0.8) > 0.1
     assert loudness(sound, 440, 1.45, 1.5) < 0.03
+
+
+def test_a_film_is_made_again_from_its_recipe(device, films):
+    """Also through pipes, and of a clip from standard input."""
+    index = next(each.index for each in find_devices() if each.handle == device.device)
+    usual = ["--device", index, "--size", "16"]
+    assert main(["morph", "still.png", "silent.mkv", "-o", "a.mp4", *usual]) == 0
+    assert main(["morph", "--config", "a.mp4", "-o", "b.mp4", *usual[:2]]) == 0
+    assert Path("a.mp4").read_bytes() == Path("b.mp4").read_bytes()
+    assert Fraction(probed("b.mp4")[0]["r_frame_rate"]) == 20
+    command = [Path(sys.executable).with_name("clmorph"), "morph", "still.png", "-"]
+    done = subprocess.run(
+        [*command, "-o", "-", "--format", "mp4", *usual], input=Path("silent.mkv").read_bytes(),
+        capture_output=True, check=True,
+    )  # fmt: skip
+    Path("c.mp4").write_bytes(done.stdout)
+    assert probed("c.mp4") == probed("a.mp4")
+
+
+def test_unusual_clips(films):
+    """Odd sides, ten bits, and a rate that varies: the film is as long as the clip."""
+    ffmpeg = program("ffmpeg")
+    for name, how in (
+        ("odd.mkv", ["-vf", "crop=47:45", "-c:v", "ffv1"]),
+        ("deep.mkv", ["-pix_fmt", "yuv420p10le", "-c:v", "ffv1"]),
+        ("uneven.mkv", ["-vf", "select='not(eq(mod(n,3),1))'", "-fps_mode", "vfr"]),
+    ):
+        subprocess.run(
+            [ffmpeg, "-v", "error", "-i", "silent.mkv", *how, name], check=True, capture_output=True
+        )
+        line = ["morph", name, "still.png", "-o", f"{name}.mp4", "--duration", "0.3"]
+        assert main([*line, "--backend", "numpy", "--size", "16"]) == 0, name
+        picture = probed(f"{name}.mp4")[0]
+        frames = int(picture["nb_read_frames"]) / float(Fraction(picture["r_frame_rate"]))
+        assert frames == pytest.approx(1.5, abs=0.12), name
 
 
 @pytest.mark.parametrize(
