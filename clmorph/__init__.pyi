@@ -201,6 +201,9 @@ from .transport.gradient import (
 from .transport.gradient import (
     gradient as gradient,
 )
+from .transport.hessian import (
+    hessian_product as hessian_product,
+)
 from .transport.matching import (
     Assignment as Assignment,
 )
@@ -280,6 +283,7 @@ __all__ = [
     "fit_lut",
     "get_backend",
     "gradient",
+    "hessian_product",
     "inspect",
     "lift",
     "load",

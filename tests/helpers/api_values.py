@@ -128,6 +128,7 @@ def examples() -> dict[str, Any]:
         ),
         "reference": reference,
         "divergence": divergence,
+        "direction": clmorph.Gradient(np.ones((9, 5)), np.zeros(9), np.ones((9, 5)), np.zeros(9)),
         "inspection": clmorph.inspect(a, b, n_frames=2, backend="numpy"),
         "grid": np.eye(3),
         "path": clmorph.density_path(np.eye(3), np.eye(3)[:, ::-1], backend="numpy"),
@@ -257,6 +258,10 @@ def cases() -> dict[str, dict[str, Any]]:
             "gradient": True,
         },
         "gradient": planned,
+        "hessian_product": {
+            "source": some["source"], "target": some["target"], "solved": some["divergence"],
+            "direction": some["direction"],
+        },
         "assignment": {
             "x": some["grid"], "y": some["grid"][::-1], "weights": np.ones(len(some["grid"])),
             "gap": 0.0, "seed": 0, "backend": "numpy", "progress": Idle(),
