@@ -76,7 +76,7 @@ def iterated_over_stored(operations: Operations, rho: tuple[float, float]) -> li
     measures = [WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in (130, 67)]
     problem = Problem.between(operations, *measures, rho)
     g = np.zeros(67)
-    f, g, t_rows, _ = problem.update_f(g, problem.softmin_rows(g, epsilon, False), epsilon)
+    f, g, t_rows, _ = problem.half_step(0, g, problem.softmin_rows(g, epsilon, False), epsilon)
     softmins = t_rows, problem.softmin_columns(f, epsilon, False)
     grid = stored_grid(problem, f, g, softmins, epsilon, 130 * 67, STORED_CHOICES)
     assert grid is not None

@@ -119,7 +119,7 @@ def test_a_corrected_problem_is_a_transport_problem(rng, rho):
     )
     assert np.isclose(*problem.masses) or np.isfinite(rho[0])
     g = 0.1 * rng.random(25)
-    f, g, t_rows, _ = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
+    f, g, t_rows, _ = problem.half_step(0, g, problem.softmin_rows(g, epsilon, True), epsilon)
 
     def dual(f, g):
         rows = problem.row_mass(f, problem.softmin_rows(g, epsilon, True), epsilon)
@@ -223,7 +223,7 @@ def stored_near(device, side, blur, rho):
     problem, epsilon = Problem.between(clmorph.get_backend(device), source, target, rho), blur**2
     reach = tuple(None if np.isinf(each) else each**0.5 for each in rho)
     g = sinkhorn(source, target, blur, reach, 0.3, backend=device).g
-    f, g, t_rows, _ = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
+    f, g, t_rows, _ = problem.half_step(0, g, problem.softmin_rows(g, epsilon, True), epsilon)
     t_columns = problem.softmin_columns(f, epsilon, True)
     grid = stored_grid(problem, f, g, (t_rows, t_columns), epsilon, 10**8, STORED_CHOICES)
     return problem, f, g, t_rows, t_columns, grid

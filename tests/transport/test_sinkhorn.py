@@ -212,11 +212,11 @@ def test_half_steps_maximize_the_dual_over_translations_too(rng, rho):
                 assert dual(data, *arguments(s), epsilon, rho) < at
 
     g = 0.1 * rng.random(25)
-    f, g, t_rows, _ = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
+    f, g, t_rows, _ = problem.half_step(0, g, problem.softmin_rows(g, epsilon, True), epsilon)
     source_damping, target_damping = problem.damping(epsilon)
     assert np.allclose(t_rows, problem.softmin_rows(g, epsilon, True), rtol=0, atol=1e-12)
     best(f, g, lambda s: (source_damping * (t_rows - s), g + s))
-    g, f, t_columns, _ = problem.update_g(f, problem.softmin_columns(f, epsilon, True), epsilon)
+    g, f, t_columns, _ = problem.half_step(1, f, problem.softmin_columns(f, epsilon, True), epsilon)
     best(f, g, lambda s: (f + s, target_damping * (t_columns - s)))
 
 

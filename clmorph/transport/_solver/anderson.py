@@ -120,8 +120,11 @@ class Anderson:
         if not np.any(found):
             return image, found
         correction = of.combined(coefficients, self._ahead[: coefficients.shape[-1]])
-        step, factor, cut = limited_step(of, residual, correction, weights, self._region.radius)
-        self._region.was_cut = found & cut
+        step = (MIXING - 1) * residual - correction
+        plain, length = (np.sqrt(of.inner(x * weights, x)) for x in (residual, step))
+        longest = self._region.radius * plain
+        self._region.was_cut = found & (length > longest)
+        factor = np.minimum(1.0, longest / np.maximum(length, TINY))
         return image + of.scaled(found * factor, step), found
 
     def _coefficients(self, residual: Array, weights: Array) -> tuple[Array, Any]:
@@ -144,33 +147,10 @@ class Anderson:
         place, self._next = self._next % MEMORY, self._next + 1
         if place == 0 and not self._residuals.size:
             self._ahead, self._residuals = (np.empty((MEMORY, len(of_image))) for _ in range(2))
-        self._ahead[place] = mixed(of_image, of_residual)
+        self._ahead[place] = of_image + (MIXING - 1) * of_residual
         self._residuals[place] = of_residual
         self._stored[..., place] = stored
         count = min(self._next, MEMORY)
         row = self._of.inner_each(self._residuals[:count], of_residual * weights)
         row *= self._stored[..., :count] & np.asarray(stored)[..., None]
         self._products[..., place, :count] = self._products[..., :count, place] = row
-
-
-def mixed(of_image: Any, of_residual: Any) -> Any:
-    """Return the difference of two images, plus the mixed share of that of their residuals."""
-    return of_image + (MIXING - 1) * of_residual
-
-
-def limited_step(
-    of: Any, residual: Any, correction: Any, weights: Any, radius: Any
-) -> tuple[Any, Any, Any]:
-    """Return a step from an image, the factor that keeps it in the trust region, and if it is cut.
-
-    The residual (n,) is the image less its iterate; the correction (n,) combines stored
-    differences.
-    """
-    step = (MIXING - 1) * residual - correction
-    longest = radius * _norm(of, residual, weights)
-    length = _norm(of, step, weights)
-    return step, np.minimum(1.0, longest / np.maximum(length, TINY)), length > longest
-
-
-def _norm(of: Any, x: Any, weights: Any) -> Any:
-    return np.sqrt(of.inner(x * weights, x))

@@ -12,7 +12,7 @@ from clmorph._shared.typing import Array
 from clmorph.measures.cluster import Clusters, make_clusters
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.coarse_grid import expanded
-from clmorph.transport._solver.iteration import TOP, Iteration
+from clmorph.transport._solver.iteration import Iteration, top_blur
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin, many_pairs_factor
 from clmorph.transport._solver.state import State
@@ -64,7 +64,7 @@ def anneal(
     The measures `pair` are those of the problem `finest`: the points, or clusters of them. Its
     softmins receive first guesses.
     """
-    top = TOP * np.sqrt(2 * problem.largest_cost)
+    top = top_blur(problem.largest_cost)
     levels: list[_Level] = []
     while len(pair[0]) * len(pair[1]) > FEW_PAIRS and blur < top:
         blur *= 2
@@ -119,11 +119,7 @@ def _level_problem(problem: Problem, level: _Level, finer: Problem) -> Problem:
 
 
 def _prolong(
-    problem: Problem,
-    coarse: Problem,
-    state: State,
-    level: _Level,
-    fine: Problem,
+    problem: Problem, coarse: Problem, state: State, level: _Level, fine: Problem
 ) -> list[Array]:
     """Evaluate the softmins of coarse potentials at the points of a finer problem.
 

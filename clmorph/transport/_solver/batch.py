@@ -19,10 +19,7 @@ class BatchSoftmin(Softmin):
     """The operators T of many problems, over all pairs; `numbers`, (B,), are theirs in a batch."""
 
     def __init__(
-        self,
-        operations: Operations,
-        sides: tuple["BatchSide", "BatchSide"],
-        numbers: IntArray,
+        self, operations: Operations, sides: tuple["BatchSide", "BatchSide"], numbers: IntArray
     ) -> None:
         rows, columns = sides
         super().__init__(operations, rows.cloud, columns.cloud, (rows.weights, columns.weights))
@@ -97,9 +94,7 @@ def _uploaded(
 
 
 def problem_of_many(
-    operations: Operations,
-    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]],
-    rho: tuple[float, float],
+    operations: Operations, pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float]
 ) -> Problem:
     """Return the problems of many pairs (source, target), all in one dimension, as one."""
     found = _uploaded(operations, [source for source, _ in pairs])

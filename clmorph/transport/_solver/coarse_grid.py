@@ -203,11 +203,7 @@ class StoredSoftmin(Softmin):
         return StoredVectors(masses, self._start + correction, self._softmin + correction, origin)
 
     def rounding(
-        self,
-        largest_cost: Any,
-        epsilon: float,
-        precise: bool,
-        exact: bool = False,
+        self, largest_cost: Any, epsilon: float, precise: bool, exact: bool = False
     ) -> float:
         """Return the effect of rounding on a softmin in nats; exponents are small here."""
         return 64 * self.operations.sum_roundoff

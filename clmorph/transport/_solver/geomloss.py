@@ -24,11 +24,7 @@ def blurs(diameter: float, blur: float, scaling: float) -> list[float]:
 
 
 def run(
-    problem: Problem,
-    blur: float,
-    scaling: float,
-    precise: bool,
-    report: Callable[[float], None],
+    problem: Problem, blur: float, scaling: float, precise: bool, report: Callable[[float], None]
 ) -> tuple[Array, Array, int]:
     """Return f and g after the schedule, and the number of its iterations."""
     schedule = blurs(float(np.sqrt(2 * problem.largest_cost)), blur, scaling)

@@ -35,7 +35,7 @@ class ColumnStep(NamedTuple):
 
 def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any, enough: Any = 0.0) -> RowStep:
     """Maximize the dual over f and a shift of g, given T(g), (N,) (paper, 3.1)."""
-    f, g_shifted, t_rows, log_mass = problem.update_f(g, softmin, epsilon)
+    f, g_shifted, t_rows, log_mass = problem.half_step(0, g, softmin, epsilon)
     of_rows = problem.of_rows
     mass = _exp(log_mass) if np.any(enough) else of_rows.sum(problem.row_mass(f, t_rows, epsilon))
     dual = problem.dual(f, g_shifted, mass, epsilon, enough)
@@ -47,7 +47,9 @@ def column_step(
 ) -> ColumnStep:
     """Maximize the dual over g and a shift of f, given T(f), (M,) (paper, 3.1)."""
     residual = problem.residual(before.f, before.g, before.t_rows, softmin, epsilon)
-    image, f, t_columns, log_mass = problem.update_g(before.f, softmin, epsilon, before.log_mass)
+    image, f, t_columns, log_mass = problem.half_step(
+        1, before.f, softmin, epsilon, before.log_mass
+    )
     mass = problem.column_mass(image, t_columns, epsilon)
     plan_mass = _exp(log_mass) if np.any(enough) else problem.of_columns.sum(mass)
     dual = problem.dual(f, image, plan_mass, epsilon, enough)

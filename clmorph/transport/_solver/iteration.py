@@ -210,13 +210,7 @@ class Iteration:
         operations, exact = problem.operations, problem.exact_sums
         self.precise[:] = needs_more(problem, self.precision, epsilon, self.tol)
         begun = Reached(
-            problem.reductions,
-            self._everyone,
-            self.f,
-            g,
-            self.t_columns,
-            self.residual,
-            False,
+            problem.reductions, self._everyone, self.f, g, self.t_columns, self.residual, False
         )
         left = [(precise, begun.some(self.precise == precise)) for precise in (False, True)]
         if self.precision == "auto" and operations.exponent_roundoff > operations.precise_roundoff:

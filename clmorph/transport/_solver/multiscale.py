@@ -271,7 +271,7 @@ class Multiscale:
             # The iteration that is likely to be the last one computes what a certificate needs.
             last = expected <= self.tol
             t_rows = problem.softmin_rows(g, epsilon, precise, last)
-            f, g, t_rows, _ = problem.update_f(g, t_rows, epsilon)
+            f, g, t_rows, _ = problem.half_step(0, g, t_rows, epsilon)
             t_columns = problem.softmin_columns(f, epsilon, precise, last)
             self._n_softmin += 2
             residual = problem.residual(f, g, t_rows, t_columns, epsilon)
@@ -289,7 +289,7 @@ class Multiscale:
                 self.status = "converged" if self.state.residual <= self.tol else "max_iter"
                 if out or self.status == "converged":
                     return
-            image = problem.update_g(f, t_columns, epsilon).new
+            image = problem.half_step(1, f, t_columns, epsilon).new
             if residual > PROGRESS * before:
                 failures += failure
             if residual > max(PROGRESS * before, AGREEMENT * reached):

@@ -152,11 +152,7 @@ def row_projection(
 
 
 def _check_rows(
-    source: AnyMeasure,
-    target: AnyMeasure,
-    potentials: Potentials,
-    to_rows: Softmin,
-    softmin: Array,
+    source: AnyMeasure, target: AnyMeasure, potentials: Potentials, to_rows: Softmin, softmin: Array
 ) -> None:
     """Raise an `InputError` if potentials are those of other measures."""
     rounding = rounding_of(to_rows, source, target, potentials)

@@ -8,20 +8,9 @@ from clmorph._shared.typing import Array
 from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.records import ResidentIteration
 from clmorph.measures.points import AnyMeasure
-from clmorph.transport._solver.reductions import (
-    WHOLE,
-    Reductions,
-    largest_size,
-    log_sum_exp,
-)
+from clmorph.transport._solver.reductions import WHOLE, Reductions, largest_size, log_sum_exp
 from clmorph.transport._solver.softmin import Softmin
-from clmorph.transport.certificate import (
-    STEPS_ERROR,
-    Certificate,
-    Side,
-    certify,
-    marginal,
-)
+from clmorph.transport.certificate import STEPS_ERROR, Certificate, Side, certify, marginal
 
 #: The relative rounding that is assumed for a mass, which is a sum of exponentials.
 MASS_ROUNDING = 1e-14
@@ -182,29 +171,16 @@ class Problem:
             self.to_columns.rounding(self.largest_cost, *kind),
         )
 
-    def update_f(self, g: Array, t_rows: Array, epsilon: float) -> HalfStep:
-        """Maximize the dual over all (f, g + s), given T(g), where f is the half-step of g + s.
-
-        f = Delta T(g + s) for every s (paper, 3.1), and the best s has a closed form (math:
-        translation invariance). Source of the idea: Séjourné, Vialard, Peyré, "Faster
-        unbalanced optimal transport: translation invariant Sinkhorn and 1-D Frank-Wolfe"
-        (2022).
-        """
-        return self._half_step(t_rows, 0, g, epsilon, None)
-
-    def update_g(
-        self, f: Array, t_columns: Array, epsilon: float, log_mass: Any = None
+    def half_step(
+        self, side: int, old: Array, softmin: Array, epsilon: float, before: Any = None
     ) -> HalfStep:
-        """Maximize the dual over all (f + s, g), given T(f) and, if known, the log of the mass."""
-        return self._half_step(t_columns, 1, f, epsilon, log_mass)
+        """Maximize the dual over a potential and a shift s of the other, given T(old).
 
-    def _half_step(
-        self, softmin: Array, side: int, old: Array, epsilon: float, before: Any
-    ) -> HalfStep:
-        """Return the half-step of one side, with the best s for `old` + s.
-
-        At this s, <a, exp(-f / rho)> and <b, exp(-g / rho)> are both the mass of the plan;
-        `before` is the logarithm of this sum before the shift, if it is known.
+        The new potential is Delta T(old + s) for every s (paper, 3.1), and the best s has a closed
+        form (math: translation invariance): at this s, <a, exp(-f / rho)> and <b, exp(-g / rho)>
+        are both the mass of the plan. `before` is the logarithm of this sum before the shift, if it
+        is known; side 0 has f, side 1 has g. Source of the idea: Séjourné, Vialard, Peyré, "Faster
+        unbalanced optimal transport: translation invariant Sinkhorn and 1-D Frank-Wolfe" (2022).
         """
         # 1 / (rho + epsilon) and 1 / rho: 0 if balanced
         damping = self.damping(epsilon)[side]

@@ -92,7 +92,6 @@ class Segments:
         self.shape: tuple[int, ...] = (len(counts),)
         ends = np.cumsum(counts)
         self.starts = ends - counts
-        self.n_points = int(ends[-1]) if len(counts) else 0
         #: The number of points of every problem, if it is the same for all; else 0.
         self._each = int(counts[0]) if len(counts) and np.all(counts == counts[0]) else 0
 

@@ -132,12 +132,7 @@ class Softmin:
         assert self.guess is not None
         assert self.truncation is not None
         near = self.operations.near_pairs(
-            self.rows,
-            self.columns,
-            potential,
-            self.guess,
-            epsilon,
-            self.reserve * self.truncation,
+            self.rows, self.columns, potential, self.guess, epsilon, self.reserve * self.truncation
         )
         check_finite(near.softmin)
         self.guess = near.softmin
@@ -176,11 +171,7 @@ class Softmin:
         return float(np.exp(np.minimum(logarithms.max(), 700.0)))
 
     def rounding(
-        self,
-        largest_cost: Any,
-        epsilon: float,
-        precise: bool,
-        exact: bool = False,
+        self, largest_cost: Any, epsilon: float, precise: bool, exact: bool = False
     ) -> Any:
         """Return the largest effect of rounding on a softmin, in nats; see `rounding_error`."""
         n_columns = self.n_columns

@@ -80,12 +80,7 @@ class SymmetricSteps:
 
 
 def solve_symmetric(
-    problem: Problem,
-    blur: float,
-    tol: float,
-    max_iter: int,
-    precision: str,
-    report: Progress,
+    problem: Problem, blur: float, tol: float, max_iter: int, precision: str, report: Progress
 ) -> Iteration:
     """Return the solves of one or many measures with themselves."""
     problem.to_columns = problem.to_rows
