@@ -16,12 +16,15 @@ from clmorph._shared.version import __version__
 from clmorph.cli import config as files
 from clmorph.cli import options
 from clmorph.cli.more_commands import (
+    PRESET_LINES,
     batch,
     check,
     comfyui,
     completion,
+    counted,
     demo,
     devices,
+    inspect,
     studio,
     tune,
 )
@@ -30,7 +33,7 @@ from clmorph.errors import InputError, OptionWarning
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
+from clmorph.pipeline.presets import AUTO
 
 if TYPE_CHECKING:
     from clmorph.cli.request import Request
@@ -62,15 +65,9 @@ def _print_version(context: click.Context, parameter: click.Parameter, wanted: b
     context.exit()
 
 
-#: One line about each preset.
-_PRESETS = "Presets:\n\n" + "\n\n".join(
-    f"{name}: {help}"
-    for name, help in ((AUTO, AUTO_HELP), *((name, each.help) for name, each in PRESETS.items()))
-)
-
-
 @click.group(
-    context_settings={"help_option_names": ["-h", "--help"]}, epilog=f"{_PRESETS}\n\n{EXIT_CODES}"
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=f"{PRESET_LINES}\n\n{EXIT_CODES}",
 )
 @click.option(
     "--version",
@@ -144,7 +141,7 @@ def _pictures(images: tuple[Path, ...], config: files.Found | None) -> tuple[Pat
     return tuple(path for path, _ in named)
 
 
-@cli.command(epilog=_PRESETS, cls=options.LabeledCommand)
+@cli.command(epilog=PRESET_LINES, cls=options.LabeledCommand)
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.InputName())
 @options.file_options
 @options.preset_option
@@ -279,7 +276,7 @@ def _request(
         number = {least: "one" if least == 1 else "two", math.inf: "two or more"}.get(
             most, f"{least} to {most}"
         )
-        raise InputError(f"{_counted(images)}: expected {number}, as in clmorph {example}")
+        raise InputError(f"{counted(images)}: expected {number}, as in clmorph {example}")
     if not given["output"]:
         name = example.split()[-1]
         raise InputError(f"no output given: expected -o with a name, such as -o {name}")
@@ -290,11 +287,6 @@ def _request(
         config=None if config is None else config.named.file, device=given["device"],
         backend=given["backend"], as_json=given["as_json"], **more,
     )  # fmt: skip
-
-
-def _counted(images: Sequence[Path]) -> str:
-    """Return the number of given pictures as the beginning of a message."""
-    return f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given"
 
 
 @cli.command()
@@ -393,7 +385,7 @@ def _check_lut(given: Mapping[str, Any]) -> None:
             )
 
 
-@cli.command(epilog=_PRESETS)
+@cli.command(epilog=PRESET_LINES)
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.InputName())
 @click.option(
     "--grid", metavar="ROWSxCOLUMNS", panel="Mixes",
@@ -451,52 +443,6 @@ def mix(context: click.RichContext, /, **given: Any) -> None:
     )  # fmt: skip
 
 
-@cli.command(epilog=_PRESETS, cls=options.LabeledCommand)
-@click.argument("images", metavar="A B", nargs=-1, type=options.InputName())
-@click.option(
-    "-o", "--output", type=options.OutputName(), panel="File",
-    help="Draw a picture too: .png, .svg or .pdf.",
-)  # fmt: skip
-@click.option(
-    "--json", "as_json", is_flag=True, panel="File", help="Print the numbers for programs."
-)
-@click.option(
-    "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Transport",
-    help="Set of options for a kind of pictures; see below.  [default: auto]",
-)  # fmt: skip
-@options.inspect_options
-@options.map_options
-@options.max_pixels_option
-@options.device_options
-def inspect(
-    images: tuple[Path, ...],
-    output: Path | None,
-    as_json: bool,
-    preset: str | None,
-    labels: tuple[Path, ...] | None,
-    features: tuple[Path, ...] | None,
-    max_pixels: int | None,
-    device: str | None,
-    backend: str | None,
-    **given: Any,
-) -> None:
-    """Show what a morph would move: how far, how much, how well; how long it would take.
-
-    \b
-    clmorph inspect a.png b.jpg                  numbers
-    clmorph inspect a.png b.jpg -o report.png    and a picture of where everything goes
-    """  # noqa: D301
-    from clmorph.cli.inspect import run_inspect
-
-    if len(images) != 2:
-        raise InputError(f"{_counted(images)}: expected two, as in clmorph inspect a.png b.jpg")
-    run_inspect(
-        images, output, preset, options.given_options(given),
-        max_pixels=MAX_PIXELS if max_pixels is None else max_pixels, device=device,
-        backend=backend, as_json=as_json, labels=labels or (), features=features or (),
-    )  # fmt: skip
-
-
 def _note(told: set[str], message: Warning | str, *others: Any, **more: Any) -> None:
     """Print a warning as a note, once; else the signature is that of `warnings.showwarning`."""
     from clmorph.cli.common import note_warning
@@ -506,7 +452,7 @@ def _note(told: set[str], message: Warning | str, *others: Any, **more: Any) -> 
         note_warning([], message, *others, **more)
 
 
-for command in (batch, studio, comfyui, demo, devices, check, tune, completion):
+for command in (inspect, batch, studio, comfyui, demo, devices, check, tune, completion):
     cli.add_command(command)
 
 

@@ -1,15 +1,28 @@
 """The commands for many pairs, for looking, and for devices."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import rich_click as click
 
 from clmorph.cli import options
 from clmorph.errors import InputError
-from clmorph.pipeline.presets import AUTO, PRESETS
+from clmorph.images.pixels import MAX_PIXELS
+from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
 
 #: Shells for which completion is supported.
 SHELLS = ("bash", "zsh", "fish")
+#: One line about each preset.
+PRESET_LINES = "Presets:\n\n" + "\n\n".join(
+    f"{name}: {help}"
+    for name, help in ((AUTO, AUTO_HELP), *((name, each.help) for name, each in PRESETS.items()))
+)
+
+
+def counted(images: Sequence[Path]) -> str:
+    """Return the number of given pictures as the beginning of a message."""
+    return f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given"
 
 
 @click.command()
@@ -93,6 +106,52 @@ def batch(
             preset=preset, scheduler=scheduler, workers=workers, memory=memory, device=device,
             backend=backend, max_pixels=max_pixels, redo=redo, as_json=as_json,
         )
+    )  # fmt: skip
+
+
+@click.command(epilog=PRESET_LINES, cls=options.LabeledCommand)
+@click.argument("images", metavar="A B", nargs=-1, type=options.InputName())
+@click.option(
+    "-o", "--output", type=options.OutputName(), panel="File",
+    help="Draw a picture too: .png, .svg or .pdf.",
+)  # fmt: skip
+@click.option(
+    "--json", "as_json", is_flag=True, panel="File", help="Print the numbers for programs."
+)
+@click.option(
+    "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Transport",
+    help="Set of options for a kind of pictures; see below.  [default: auto]",
+)  # fmt: skip
+@options.inspect_options
+@options.map_options
+@options.max_pixels_option
+@options.device_options
+def inspect(
+    images: tuple[Path, ...],
+    output: Path | None,
+    as_json: bool,
+    preset: str | None,
+    labels: tuple[Path, ...] | None,
+    features: tuple[Path, ...] | None,
+    max_pixels: int | None,
+    device: str | None,
+    backend: str | None,
+    **given: Any,
+) -> None:
+    """Show what a morph would move: how far, how much, how well; how long it would take.
+
+    \b
+    clmorph inspect a.png b.jpg                  numbers
+    clmorph inspect a.png b.jpg -o report.png    and a picture of where everything goes
+    """  # noqa: D301
+    from clmorph.cli.inspect import run_inspect
+
+    if len(images) != 2:
+        raise InputError(f"{counted(images)}: expected two, as in clmorph inspect a.png b.jpg")
+    run_inspect(
+        images, output, preset, options.given_options(given),
+        max_pixels=MAX_PIXELS if max_pixels is None else max_pixels, device=device,
+        backend=backend, as_json=as_json, labels=labels or (), features=features or (),
     )  # fmt: skip
 
 
