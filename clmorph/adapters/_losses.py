@@ -15,6 +15,8 @@ from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
 from clmorph.transport.divergence import sinkhorn_divergence
 from clmorph.transport.divergence_batch import sinkhorn_divergence_batch
+from clmorph.transport.gradient import Gradient
+from clmorph.transport.hessian import hessian_product
 
 #: Residual at which losses stop, in units of epsilon: derivatives are then exact to 1e-4.
 LOSS_TOL = 1e-6
@@ -41,6 +43,29 @@ def divergence_and_gradient(
             stacked = [getattr(each.gradient, name) for each in found]
             parts.append(np.stack(stacked) if batched else stacked[0])
     return values if batched else values[0], tuple(parts)
+
+
+def changed_gradient(
+    arrays: tuple[Any, ...], direction: tuple[Any, ...], options: dict[str, Any]
+) -> tuple[Array, ...]:
+    """Return the Hessian of the divergence times a direction, in the order (a, x, b, y)."""
+    a, x, b, y = (as_floats(*pair) for pair in zip(NAMES, arrays, strict=True))
+    da, dx, db, dy = (np.asarray(each, float) for each in direction)
+    if check_shapes(a.shape, x.shape, b.shape, y.shape):
+        found = [
+            changed_gradient(each[:4], each[4:], options)
+            for each in zip(a, x, b, y, da, dx, db, dy, strict=True)
+        ]
+        return tuple(np.stack(parts) for parts in zip(*found, strict=True))
+    solved = sinkhorn_divergence((a, x), (b, y), **options)
+    if np.isinf(solved.cross.rho):
+        # Derivatives by weights have the mean 0 there.
+        da, db = da - da.mean(), db - db.mean()
+    product = hessian_product((a, x), (b, y), solved, Gradient(dx, da, dy, db))
+    return (
+        product.source_weights, product.source_points,
+        product.target_weights, product.target_points,
+    )  # fmt: skip
 
 
 def check_shapes(*shapes: tuple[int, ...]) -> bool:

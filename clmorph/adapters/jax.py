@@ -7,7 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from clmorph.adapters._losses import LOSS_TOL, check_shapes, divergence_and_gradient
+from clmorph.adapters._losses import (
+    LOSS_TOL,
+    changed_gradient,
+    check_shapes,
+    divergence_and_gradient,
+)
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.transport._solver.checks import check_solver_options
@@ -35,7 +40,8 @@ def sinkhorn_divergence(
 
     Values and derivatives are those of `clmorph.sinkhorn_divergence`, in closed form. The solver
     runs on the host as a callback, so this works under `jax.jit`, `jax.grad` and `jax.vmap`
-    (one problem after another); there are no second derivatives.
+    (one problem after another). Second derivatives in reverse mode are Hessian-vector products
+    of `clmorph.hessian_product`, for positive weights.
 
     Parameters
     ----------
@@ -100,9 +106,24 @@ def sinkhorn_divergence(
         call = partial(_on_host, options, False, types[:1])
         return jax.pure_callback(call, types[:1], *given, vmap_method="sequential")[0]
 
-    def forward(*given: Any) -> Any:
+    @jax.custom_vjp  # type: ignore[untyped-decorator,unused-ignore]
+    def differentiated(*given: Any) -> Any:
         call = partial(_on_host, options, True, types)
-        value, *parts = jax.pure_callback(call, types, *given, vmap_method="sequential")
+        return tuple(jax.pure_callback(call, types, *given, vmap_method="sequential"))
+
+    def first(*given: Any) -> Any:
+        found = differentiated(*given)
+        return found, (given, found[1:])
+
+    def second(kept: Any, outer: Any) -> Any:
+        given, parts = kept
+        call = partial(_product_on_host, options, types[1:])
+        products = jax.pure_callback(call, types[1:], *given, *outer[1:], vmap_method="sequential")
+        plain = backward(parts, outer[0])
+        return tuple(one + other for one, other in zip(products, plain, strict=True))
+
+    def forward(*given: Any) -> Any:
+        value, *parts = differentiated(*given)
         return value, parts
 
     def backward(parts: Any, outer: Any) -> Any:
@@ -111,8 +132,16 @@ def sinkhorn_divergence(
             for part in parts
         )
 
+    differentiated.defvjp(first, second)
     divergence.defvjp(forward, backward)
     return divergence(*arrays)
+
+
+def _product_on_host(options: dict[str, Any], types: Any, *given: Any) -> Any:
+    """Return the Hessian times a direction as arrays of the types that were announced."""
+    arrays = [np.asarray(each, float) for each in given]
+    found = changed_gradient(tuple(arrays[:4]), tuple(arrays[4:]), options)
+    return [np.asarray(v, t.dtype) for v, t in zip(found, types, strict=True)]
 
 
 def _on_host(options: dict[str, Any], differentiate: bool, types: Any, *given: Any) -> Any:

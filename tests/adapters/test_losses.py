@@ -103,3 +103,31 @@ def test_jax(any_backend, rng):
         clmorph.jax.sinkhorn_divergence(*given, -1)
     both = jax.vmap(loss, (0, None))(np.stack([given[1]] * 2), given[3])
     np.testing.assert_allclose(both, [want.value] * 2, rtol=1e-5)
+
+
+@pytest.mark.parametrize("reach", [0.5, None])
+def test_jax_second_derivatives(any_backend, rng, reach):
+    """The derivative of a derivative along a direction, compiled, beside the product itself."""
+    jax = pytest.importorskip("jax")
+    a, x, b, y = arrays(rng, balanced=reach is None)
+    change = rng.standard_normal(x.shape)
+    options = {"blur": 0.3, "reach": reach, "tol": 1e-6}
+
+    def slope(x, y):
+        def loss(x):
+            found = clmorph.jax.sinkhorn_divergence(a, x, b, y, **options, backend=any_backend)
+            return found**2  # whose own second derivative counts too
+
+        return (jax.grad(loss)(x) * change).sum()
+
+    found = jax.jit(jax.grad(slope, (0, 1)))(x, y)
+    solved = clmorph.sinkhorn_divergence(
+        (a, x), (b, y), **options | {"tol": 1e-9}, gradient=True, backend="numpy"
+    )
+    along = clmorph.Gradient(change, np.zeros(len(a)), np.zeros(y.shape), np.zeros(len(b)))
+    product = clmorph.hessian_product((a, x), (b, y), solved, along)
+    first = (solved.gradient.source_points * change).sum()
+    for got, name in zip(found, ("source_points", "target_points"), strict=True):
+        want = 2 * solved.value * getattr(product, name)
+        want = want + 2 * first * getattr(solved.gradient, name)
+        assert np.abs(np.asarray(got) - want).max() <= 1e-3 * np.abs(want).max()
