@@ -106,6 +106,16 @@ def test_readings_do_not_saturate(monkeypatch, rate):
     assert max(sizes) == {1e8: 2048, 1e10: 8192, 1e12: 65536}[rate]
 
 
+def test_a_clock_that_does_not_run_is_not_read():
+    work = SimpleNamespace(device_seconds=0.0)
+
+    def run():
+        time.sleep(1e-3)
+        work.device_seconds += 1e-9
+
+    assert throughput.seconds_of(SimpleNamespace(work=work), run) >= 1e-3
+
+
 def test_the_devices_clock_measures_kernels(device):
     """Not what the host does, and nothing where the queue is not profiled."""
     n, seconds = 500, {}

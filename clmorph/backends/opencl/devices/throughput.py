@@ -16,6 +16,8 @@ FEW_POINTS, MOST_POINTS = 256, 1 << 16
 LONGEST_RUN = 5.0
 #: Runs of fewer seconds do not fill a device, so that there are more points.
 SHORTEST_RUN = 2e-3
+#: A device's clock that shows a smaller share of the host's seconds does not run (Mesa's rusticl).
+LEAST_SHARE = 1e-4
 
 
 def throughput(operations: Operations, points: int = 4096) -> float:
@@ -36,12 +38,16 @@ def throughput(operations: Operations, points: int = 4096) -> float:
 
 
 def seconds_of(operations: Any, run: Callable[[], object]) -> float:
-    """Return the seconds of a run: those of its kernels, if the operations are profiled."""
+    """Return the seconds of a run: those of its kernels, if the operations are profiled.
+
+    If the device's clock does not run, they are the host's.
+    """
     work = getattr(operations, "work", None)
     before, began = getattr(work, "device_seconds", 0.0), time.perf_counter()
     run()
     elapsed = time.perf_counter() - began
-    return (getattr(work, "device_seconds", 0.0) - before) or elapsed
+    in_kernels = float(getattr(work, "device_seconds", 0.0) - before)
+    return in_kernels if in_kernels > LEAST_SHARE * elapsed else elapsed
 
 
 def _rate(operations: Operations, points: int, seconds: float) -> float:
