@@ -171,11 +171,11 @@ def test_the_time_limit_is_checked(monkeypatch, value):
 
 
 def test_a_failure_of_the_moment_is_told_apart():
-    assert probe._is_passing(MemoryError())
-    assert not probe._is_passing(ValueError())
+    assert probe._is_passing(MemoryError(), None)
+    assert not probe._is_passing(ValueError(), None)
     error = DeviceError("no memory")
     error.__cause__ = MemoryError()
-    assert probe._is_passing(error)
+    assert probe._is_passing(error, None)
     assert probe.probe("99:99")["lasting"] is False
 
 

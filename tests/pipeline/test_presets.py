@@ -67,7 +67,7 @@ class TestDraft:
         assert MorphOptions(draft=True, preset="paper").size == PRESETS["paper"].options["size"]
         with pytest.raises(InputError, match="draft"):
             MorphOptions(draft=1.5)
-        with pytest.raises(InputError, match="make others by MorphOptions"):
+        with pytest.raises(InputError, match="construct MorphOptions"):
             draft.replace(draft=True)
         with pytest.raises(InputError, match="contradict"):
             clmorph.morph(*kinds()["logo"], draft, draft=True)

@@ -170,7 +170,7 @@ def test_infinite_reach_is_balanced(rng):
 def test_measures_must_fit_together():
     one = lift(np.zeros((2, 2)))
     with pytest.raises(InputError, match="Measure"):
-        sinkhorn(np.zeros((4, 5)), one, backend="numpy")
+        sinkhorn(np.zeros((4, 5, 2)), one, backend="numpy")
     with pytest.raises(InputError, match="color_weight"):
         sinkhorn(one, lift(np.zeros((2, 2)), 1.0), backend="numpy")
     with pytest.raises(InputError, match="extent"):
