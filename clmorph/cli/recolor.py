@@ -11,6 +11,7 @@ import numpy as np
 from clmorph._shared.printable import printable
 from clmorph.cli.common import note_warning, quiet_libraries, read_picture
 from clmorph.cli.request import Request
+from clmorph.clips.reading import is_clip
 from clmorph.errors import FileError, InputError
 from clmorph.images.looks import Lut, read_lut
 from clmorph.images.resizing import as_unit
@@ -29,7 +30,8 @@ def run_recolor(request: Request, size: int | None) -> None:
     """
     options = request.options
     request.check_files()
-    if any(map(is_clip_place, request.outputs, request.formats())):
+    places_of_clips = map(is_clip_place, request.outputs, request.formats())
+    if is_clip(request.images[0]) or any(places_of_clips):
         _recolor_clip(request)
         return
     check_for_picture(options)

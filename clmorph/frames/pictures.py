@@ -48,7 +48,7 @@ MARGIN = 1 / 8
 STEEPER = 1.5
 #: Pixels along the longer side by which figures are compared, and over how many of them a layer
 #: stops being seen beyond its own figure.
-COVER_PIXELS, COVER = 128, 3.0
+COVER_PIXELS, COVER = 256, 2.0
 #: Agreement below this is none.
 FAINT = 0.01
 

@@ -1,5 +1,6 @@
 """Clips that are recolored: frames, flicker, sound, tags, mistakes, and ends before the end."""
 
+import base64
 import json
 import os
 import shutil
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browsers import browser
 from PIL import Image
 from skimage import data
 
@@ -20,6 +22,8 @@ from clmorph.clips.reading import Clip
 from clmorph.clips.writing import ClipWriter
 from clmorph.errors import InputError
 from clmorph.pipeline import clips as module
+
+__all__ = ["browser"]
 
 pytestmark = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg")
 
@@ -206,7 +210,7 @@ def test_mistakes_leave_an_old_output(tmp_path, palette, monkeypatch, capsys, fe
         (["in.mp4", "palette.png", "--mask", "palette.png"], "--mask is for pictures"),
         (["in.mp4", "palette.png", "--reference-frame", "20"], "--reference-frame 20"),
         (["in.mp4", "palette.png", "--max-pixels", "1000"], "expected at most 1000"),
-        (["in.mp4", "palette.png", "-o", "new.png"], "unknown ending"),
+        (["in.mp4", "palette.png", "-o", "new.png"], "expected .mp4 or .webm for a clip"),
         (["in.mp4", "palette.png", "-o", "new.webm"], "aac cannot be copied"),
     ):
         assert main(["recolor", *given, "-o", "out.mp4", "--backend", "numpy"]) == 2, given
@@ -217,6 +221,8 @@ def test_mistakes_leave_an_old_output(tmp_path, palette, monkeypatch, capsys, fe
         assert {path.name for path in tmp_path.iterdir()} == before
     assert main(["recolor", "in.mp4", "palette.png", "-o", "in.mp4"]) == 2
     assert "would overwrite an input" in capsys.readouterr().err
+    assert main(["recolor", "in.mp4", "palette.png", "-o", "new.png"]) == 2
+    assert "expected .mp4 or .webm for a clip" in capsys.readouterr().err
     assert main(["recolor", "palette.png", "palette.png", "-o", "x.png", "--reference-frame", "1"])
     assert "belongs to a clip" in capsys.readouterr().err
 
@@ -240,6 +246,47 @@ def test_a_run_that_is_ended_leaves_an_old_output(tmp_path, number):
     if number != signal.SIGKILL:
         assert b"nothing was written" in error
         assert not list(tmp_path.glob(".clmorph-*"))
+
+
+@pytest.mark.parametrize("name", ["out.mp4", "out.webm"])
+def test_a_browser_plays_it(browser, tmp_path, name):
+    """It shows the colors of a frame in the middle, and the sound is there."""
+    clip = made(tmp_path / "in.mkv", zoom(), *SINE, "-c:a", "libopus")
+    if name == "out.mp4":
+        ffmpeg("-i", clip, "-c:v", "libx264", "-crf", "8", "-c:a", "aac", tmp_path / "in.mp4")
+        clip = tmp_path / "in.mp4"
+    ramp = np.stack(np.meshgrid(*3 * [[0.2, 0.7]], indexing="ij"), axis=-1)
+    clmorph.recolor_clip(clip, clmorph.Lut(ramp), tmp_path / name, backend="numpy")
+    wanted = pixels_of(tmp_path / name)[10].mean(axis=(0, 1))
+    page = browser.new_page()
+    text = base64.b64encode((tmp_path / name).read_bytes()).decode()
+    page.set_content(f'<video muted src="data:video/{name[4:]};base64,{text}"></video>')
+    found = page.evaluate(
+        """async () => {
+        const video = document.querySelector("video");
+        const once = (name) => new Promise((done, failed) => {
+            video.addEventListener(name, done, { once: true });
+            video.addEventListener("error", () => failed(video.error.message)); });
+        if (video.readyState < 2) await once("loadeddata");
+        const sought = once("seeked");
+        video.currentTime = 1.05;
+        await sought;
+        await video.play();
+        const canvas = document.createElement("canvas");
+        [canvas.width, canvas.height] = [video.videoWidth, video.videoHeight];
+        const context = canvas.getContext("2d");
+        context.drawImage(video, 0, 0);
+        const levels = context.getImageData(0, 0, canvas.width, canvas.height).data;
+        const sums = [0, 0, 0, 0];
+        levels.forEach((level, place) => { sums[place % 4] += level; });
+        return [video.duration, canvas.width, canvas.height,
+                ...sums.slice(0, 3).map((sum) => sum / levels.length * 4)];
+        }"""
+    )
+    page.close()
+    assert found[0] == pytest.approx(2.0, abs=0.1)
+    assert found[1:3] == [160, 96]
+    assert np.abs(np.array(found[3:]) - wanted).max() < 4
 
 
 def test_memory_does_not_grow_with_the_length(tmp_path):

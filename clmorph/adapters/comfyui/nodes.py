@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from clmorph._shared.options import Options
 from clmorph._shared.printable import printable
 from clmorph._shared.typing import AnyArray
 from clmorph.adapters.comfyui import widgets
@@ -28,6 +29,7 @@ from clmorph.output.options import PlaybackOptions
 from clmorph.pipeline.luts import apply_lut
 from clmorph.pipeline.mixing.mix import mix
 from clmorph.pipeline.morph import morph
+from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO
 from clmorph.pipeline.rearrange import rearrange
 from clmorph.pipeline.rearrange_options import RearrangeOptions
@@ -55,6 +57,17 @@ class Node:
     )
 
 
+class NodeWithOptions(Node):
+    """A node that takes further options of a class as text."""
+
+    OPTIONS: ClassVar[type[Options]] = MorphOptions
+
+    @classmethod
+    def VALIDATE_INPUTS(cls, options: str | None = "") -> bool | str:  # noqa: N802
+        """Return True, or what is wrong with the options."""
+        return widgets.verdict(options, cls.OPTIONS)
+
+
 def _frames(found: FrameSequence, frames: int, time: float, running: Running) -> list[AnyArray]:
     """Return all frames of a film, or the one at a time."""
     wanted = [time] if frames == 1 else found.times.tolist()
@@ -66,7 +79,7 @@ def _sized(size: int) -> dict[str, Any]:
     return {"size": size or None}
 
 
-class Morph(Node):
+class Morph(NodeWithOptions):
     """Morph each picture of a batch into the one of another batch."""
 
     DESCRIPTION = (
@@ -97,11 +110,6 @@ class Morph(Node):
             },
         }
 
-    @classmethod
-    def VALIDATE_INPUTS(cls, options: str | None = "") -> bool | str:  # noqa: N802
-        """Return True, or what is wrong with the options."""
-        return widgets.verdict(options)
-
     def run(
         self,
         source: Any,
@@ -123,7 +131,7 @@ class Morph(Node):
         )
         running = Running(len(pairs) * (1 + frames))
         given = {"n_frames": max(frames, 2), "ease": ease} | _sized(size)
-        given |= widgets.more_options(options)
+        given |= widgets.more_options(options, self.OPTIONS)
         operations, made = get_backend(device), []
         for one, other in pairs:
             found = morph(
@@ -135,7 +143,7 @@ class Morph(Node):
         return as_image_and_mask(of_one_size(made), has_opacity(source, target))
 
 
-class Mix(Node):
+class Mix(NodeWithOptions):
     """Mix two to four pictures."""
 
     DESCRIPTION = (
@@ -178,11 +186,6 @@ class Mix(Node):
             },
         }
 
-    @classmethod
-    def VALIDATE_INPUTS(cls, options: str | None = "") -> bool | str:  # noqa: N802
-        """Return True, or what is wrong with the options."""
-        return widgets.verdict(options)
-
     def run(
         self,
         grid: int,
@@ -204,7 +207,7 @@ class Mix(Node):
             found = mix(
                 list(group), None if grid else weights, grid=grid or None,
                 preset=None if preset == AUTO else preset, backend=operations, progress=running,
-                **_sized(size), **widgets.more_options(options),
+                **_sized(size), **widgets.more_options(options, self.OPTIONS),
             )  # fmt: skip
             running.unit()
             made += of_one_size(found.drawn(), found.pixelated)
@@ -213,13 +216,15 @@ class Mix(Node):
         return as_image_and_mask(of_one_size(made), opacity)
 
 
-class Rearrange(Node):
+class Rearrange(NodeWithOptions):
     """Move the pixels of a picture so that they form another one."""
 
     DESCRIPTION = (
         "Moves the pixels of source, each with its own color, so that together they form target. "
         "Every frame has exactly the pixels of source."
     )
+
+    OPTIONS = RearrangeOptions
 
     @classmethod
     def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
@@ -236,11 +241,6 @@ class Rearrange(Node):
             "optional": {"options": widgets.OPTIONS, "device": widgets.DEVICE},
         }
 
-    @classmethod
-    def VALIDATE_INPUTS(cls, options: str | None = "") -> bool | str:  # noqa: N802
-        """Return True, or what is wrong with the options."""
-        return widgets.verdict(options, RearrangeOptions)
-
     def run(
         self,
         source: Any,
@@ -256,7 +256,7 @@ class Rearrange(Node):
         pairs = paired(source=as_images("source", source), target=as_images("target", target))
         running = Running(len(pairs) * (1 + frames))
         given = {"n_frames": max(frames, 2), "color_weight": color_weight} | _sized(size)
-        given |= widgets.more_options(options, RearrangeOptions)
+        given |= widgets.more_options(options, self.OPTIONS)
         operations, made = get_backend(device), []
         for one, other in pairs:
             found = rearrange(one, other, backend=operations, progress=running, **given)
@@ -265,7 +265,7 @@ class Rearrange(Node):
         return as_image_and_mask(of_one_size(made), has_opacity(source, target))
 
 
-class Recolor(Node):
+class Recolor(NodeWithOptions):
     """Give pictures the colors of others."""
 
     RETURN_TYPES: ClassVar[tuple[str, ...]] = ("IMAGE",)
@@ -276,6 +276,8 @@ class Recolor(Node):
         "map is made for the whole batch, of the colors of all its pictures, so that frames of a "
         "film do not flicker; every picture of like counts."
     )
+
+    OPTIONS = RecolorOptions
 
     @classmethod
     def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
@@ -295,11 +297,6 @@ class Recolor(Node):
                 "device": widgets.DEVICE,
             },
         }
-
-    @classmethod
-    def VALIDATE_INPUTS(cls, options: str | None = "") -> bool | str:  # noqa: N802
-        """Return True, or what is wrong with the options."""
-        return widgets.verdict(options, RecolorOptions)
 
     def run(
         self,
@@ -321,7 +318,7 @@ class Recolor(Node):
         found = recolor(
             np.concatenate(pictures), np.concatenate(others), mask=masks,
             backend=get_backend(device), progress=running,
-            **given | widgets.more_options(options, RecolorOptions),
+            **given | widgets.more_options(options, self.OPTIONS),
         )  # fmt: skip
         running.unit()
         frames = np.split(np.asarray(found), len(pictures))

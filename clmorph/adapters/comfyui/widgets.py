@@ -6,7 +6,6 @@ from typing import Any
 
 from clmorph._shared.options import Options, specifications
 from clmorph.errors import InputError
-from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.recipe import options_of
 
@@ -78,7 +77,7 @@ OPTIONS = line(
 )  # fmt: skip
 
 
-def more_options(text: str, kind: type[Options] = MorphOptions) -> dict[str, Any]:
+def more_options(text: str, kind: type[Options]) -> dict[str, Any]:
     """Return the options in a text of TOML, by their names in Python."""
     try:
         settings: Mapping[str, Any] = tomllib.loads(text)
@@ -87,7 +86,7 @@ def more_options(text: str, kind: type[Options] = MorphOptions) -> dict[str, Any
     return options_of(settings, "options", kind)
 
 
-def verdict(text: str | None, kind: type[Options] = MorphOptions) -> bool | str:
+def verdict(text: str | None, kind: type[Options]) -> bool | str:
     """Return True, or what is wrong with options, as ComfyUI asks before it runs anything."""
     try:
         kind(**more_options(text or "", kind))
