@@ -63,9 +63,11 @@ def test_an_empty_line_is_one_too_many(tmp_path):
     import faults
 
     runs = faults.Runs("numpy", faults.Findings([]))
-    runs.references["gif"] = disturbed_runs.Reference(1.0, "", frozenset({"device: NumPy", ""}))
+    runs.references["gif"] = disturbed_runs.Reference(
+        1.0, "", frozenset({"memory: about 0 MB", ""})
+    )
     (tmp_path / "tmp").mkdir()
-    (tmp_path / "tmp" / "errors").write_text("device: NumPy\n\nclmorph: interrupted\n")
+    (tmp_path / "tmp" / "errors").write_text("memory: about 451 MB\n\nclmorph: interrupted\n")
     with subprocess.Popen([sys.executable, "-c", ""], start_new_session=True) as process:
         ended = runs.end(process, tmp_path, "gif")
     assert ended.lines == ["", "clmorph: interrupted"]
