@@ -163,6 +163,14 @@ def test_tuning_is_kept_and_used(device, fast_tile):
     assert tuned_constants(device.device) == start
 
 
+def test_a_fast_build_that_is_wrong_is_not_kept(device, fast_tile, monkeypatch):
+    monkeypatch.setattr(tuning, "_is_right", lambda device, constants, tell: constants.tile != 128)
+    best, _, after = tune(device.device, lambda line: None)
+    assert best.tile != 128
+    assert after == 1e9
+    assert tuned_constants(device.device) == best
+
+
 def test_quirks_come_after_tuning(device, fast_tile, monkeypatch):
     tune(device.device, lambda line: None)
     monkeypatch.setenv("CLMORPH_QUIRKS", "small_local_memory,no_float64")
@@ -202,9 +210,10 @@ def test_builds_that_fail_are_passed_over(device, monkeypatch):
     assert tune(device.device, lambda line: None)[0] == start
 
 
-@pytest.mark.full
 @pytest.mark.needs_device
-def test_the_command(capsys, fast_tile, tmp_path):
+def test_the_command(capsys, fast_tile, tmp_path, monkeypatch):
+    # `test_tuning_is_kept_and_used` verifies the programs.
+    monkeypatch.setattr(tuning, "_is_right", lambda *_: True)
     assert main(["tune"]) == 0
     assert "1.00 to 2.00·10⁹ pairs/s" in capsys.readouterr().out
     (record,) = (tmp_path / "tuning").iterdir()

@@ -21,7 +21,11 @@ from clmorph import DeviceError, morph
 from clmorph.backends.opencl import probe, verification
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program, programs
-from clmorph.backends.opencl.build.constants import choose_constants
+from clmorph.backends.opencl.build.constants import (
+    apply_quirks,
+    choose_constants,
+    gpu_constants,
+)
 from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.programs import Programs, program_key, read_request
 from clmorph.backends.opencl.build.variants import (
@@ -190,6 +194,18 @@ def test_every_variant_is_right_with_each_quirk(device, quirk, built):
         pytest.skip("there the host iterates")
     forced = OpenCLOperations(device.device, constants, verify=False)
     assert verification.first_failure(forced, built) == ""
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("quirk", ["small_groups", "small_local_memory", "inexact_exp2"])
+def test_every_variant_is_right_on_a_gpus_build_with_a_quirk(device, quirk):
+    constants = apply_quirks(gpu_constants(256), find_quirks(device.device) | {quirk})
+    forced = OpenCLOperations(device.device, constants, verify=False)
+    # Exponentials are computed in few files; the other quirks change how all kernels are launched.
+    files = ("log_sum_exp.cl", "near_field.cl", "splat.cl") if quirk == "inexact_exp2" else KERNELS
+    for built in VARIANTS:
+        if built.file in files and built.suits(constants):
+            assert verification.first_failure(forced, built) == ""
 
 
 def test_where_loops_are_short_the_longest_stored_rows_are_right(device):

@@ -18,10 +18,10 @@ from clmorph.pipeline.options import PAPER
 
 @pytest.fixture(scope="session")
 def photographs():
-    """Two photographs at 48 x 48, the paper's size."""
+    """Two photographs at 32 x 32: the reference takes a fifth of the time of the paper's 48."""
     return (
-        fit(as_rgb(skimage.data.astronaut()), 48),
-        fit(as_rgb(skimage.data.chelsea()[:, 75:375]), 48),
+        fit(as_rgb(skimage.data.astronaut()), 32),
+        fit(as_rgb(skimage.data.chelsea()[:, 75:375]), 32),
     )
 
 

@@ -307,7 +307,8 @@ def assert_served(command):
 def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
     """All of them, one after the other in one folder, as somebody types them."""
     monkeypatch.chdir(tmp_path)
-    write_pictures()
+    # Larger than the limits, and small where every pixel is moved.
+    write_pictures(128)
     for name, limit in LIMITS.items():
         assert limit < getattr(MorphOptions(), name)
         monkeypatch.setitem(PRESETS["photo"].options, name, limit)
@@ -316,6 +317,8 @@ def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
         if command[0] in ("devices", "check") and not TESTED:
             continue
         command = [TESTED[0].index if word == "NAME" else word for word in command]
+        if command[0] == "check" and "--kernel" not in command:
+            command += ["--kernel", "color_table"]  # `tests/cli/test_check.py` compares all
         if command[0] == "studio":
             assert_served(command)
             continue
