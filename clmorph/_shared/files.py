@@ -17,7 +17,7 @@ from pathlib import Path
 
 from clmorph._shared.printable import printable, reason_of
 from clmorph._shared.signals import note_partial, note_written, undisturbed
-from clmorph._shared.staging import PREFIX, is_staging, staging_folder
+from clmorph._shared.staging import is_staging, own_prefix, staging_folder
 from clmorph.errors import InputError, OutputError
 
 #: Longest ending, in characters, that a temporary file takes over from its target. clmorph writes
@@ -71,7 +71,7 @@ def check_place(target: str | PathLike[str]) -> Path:
             pass
         # The path in the temporary folder is longer and may exceed the system's limit.
         with suppress(FileNotFoundError):
-            (home_of(place) / f"{PREFIX}{8 * '0'}" / _new_name(place)).lstat()
+            (home_of(place) / f"{own_prefix()}{8 * '0'}" / _new_name(place)).lstat()
     return place
 
 

@@ -1,12 +1,10 @@
-"""Hidden staging folders for new files, and the removal of those that killed processes left.
+"""Hidden folders for new files beside their targets, named after the process that made each.
 
-The process that made a folder ``.clmorph-XXXXXXXX`` holds a lock on the file ``owner`` inside,
-which the system releases however the process ends. The next run that writes to the same place
-removes the folders whose lock is free. Nothing is removed if the file system has no locks, or if
-another machine made the folder (``owner`` contains its name).
+A killed process leaves its folder ``.clmorph-PROCESS-PLACE-XXXXXXXX``. The next run that writes to
+the same place removes it if that process is gone. PLACE stands for the machine and the container:
+the folders of another one stay.
 """
 
-import errno
 import os
 import platform
 import re
@@ -17,23 +15,12 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from zlib import crc32
 
 from clmorph._shared.signals import undisturbed
 
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
-
-#: Prefix of the folders' names, and name of the locked file inside.
-PREFIX, OWNER = ".clmorph-", "owner"
-NAME = re.compile(re.escape(PREFIX) + "[a-z0-9_]{8}")
-#: Error numbers of a lock that another process holds.
-HELD = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-#: Offset of the locked byte. Windows forbids reading locked bytes, and nobody reads this one.
-FAR = 1 << 30
-#: Number of attempts to make a folder, as other runs can remove it before it is locked.
-TRIES = 100
+PREFIX = ".clmorph-"
+NAME = re.compile(re.escape(PREFIX) + "([0-9]+)-([0-9a-f]{8})-[a-z0-9_]{8}")
 
 
 @contextmanager
@@ -43,15 +30,20 @@ def staging_folder(home: Path) -> Iterator[Path]:
     Folders that killed processes left there are removed first.
     """
     clear_leftovers(home)
-    folder = handle = None
+    folder = None
     try:
         with undisturbed():
-            folder, handle = _make(home)
+            folder = Path(tempfile.mkdtemp(dir=home, prefix=own_prefix()))
         yield folder
     finally:
-        if folder is not None and handle is not None:
+        if folder is not None:
             with undisturbed():
-                _remove(folder, handle)
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def own_prefix() -> str:
+    """Return what the names of this process's folders begin with; eight characters follow."""
+    return f"{PREFIX}{os.getpid()}-{_place()}-"
 
 
 def is_staging(path: Path) -> bool:
@@ -61,105 +53,45 @@ def is_staging(path: Path) -> bool:
 
 def clear_leftovers(home: Path) -> None:
     """Remove the staging folders of ended processes inside a folder, where permissions allow it."""
-    try:
-        with os.scandir(home) as entries:
-            found = [Path(entry.path) for entry in entries if NAME.fullmatch(entry.name)]
-    except OSError:
-        return
-    for folder in found:
-        with suppress(OSError):
-            _clear(folder)
+    with suppress(OSError), os.scandir(home) as entries:
+        for entry in entries:
+            found = NAME.fullmatch(entry.name)
+            if found and found[2] == _place() and not _is_alive(int(found[1])):
+                with suppress(OSError):
+                    _remove_own(Path(entry.path))
 
 
-def _make(home: Path) -> tuple[Path, int]:
-    """Return a new folder and the handle that keeps it locked.
-
-    Before the new folder is locked, another process can take it for a leftover and remove or lock
-    it. Another folder is then made.
-    """
-    for _ in range(TRIES):
-        folder = Path(tempfile.mkdtemp(dir=home, prefix=PREFIX))
-        owner = folder / OWNER
-        try:
-            handle = os.open(owner, os.O_RDWR | os.O_CREAT | _flags(), 0o600)
-        except FileNotFoundError:
-            continue
-        except OSError:
-            with suppress(OSError):
-                folder.rmdir()
-            raise
-        try:
-            os.write(handle, platform.node().encode())
-            ours = _lock(handle) is not False and _is_at(handle, owner)
-        except BaseException:
-            _remove(folder, handle)
-            raise
-        if ours:
-            return folder, handle
-        os.close(handle)
-    raise OSError(errno.EBUSY, "another process removes its temporary folders")
-
-
-def _clear(folder: Path) -> None:
-    """Remove one leftover folder; leave every other folder alone."""
+def _remove_own(folder: Path) -> None:
+    """Remove a folder of this user; neither a file nor a link."""
     known = folder.lstat()
-    if not stat.S_ISDIR(known.st_mode):
-        return
-    if hasattr(os, "geteuid") and known.st_uid != os.geteuid():
-        return
-    owner = folder / OWNER
-    try:
-        handle = os.open(owner, os.O_RDWR | _flags())
-    except FileNotFoundError:
-        folder.rmdir()  # not locked yet, or nearly removed; fails if the folder is not empty
-        return
-    free = False
-    try:
-        if stat.S_ISREG(os.fstat(handle).st_mode):
-            told = os.read(handle, 1024)
-            free = told in (b"", platform.node().encode()) and _lock(handle) is True
-            free = free and _is_at(handle, owner)
-    finally:
-        if not free:
-            os.close(handle)
-    if free:
-        _remove(folder, handle)
+    if stat.S_ISDIR(known.st_mode) and known.st_uid == getattr(os, "geteuid", lambda: 0)():
+        shutil.rmtree(folder, ignore_errors=True)
 
 
-def _remove(folder: Path, handle: int) -> None:
-    """Remove a locked folder, its lock last, so that an incomplete one is seen as a leftover."""
+def _place() -> str:
+    """Return a digest of the machine's name and, where there are some, the space of process ids."""
+    spaces = ""
     with suppress(OSError):
-        for path in folder.iterdir():
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path, ignore_errors=True)
-            elif path.name != OWNER:
-                path.unlink(missing_ok=True)
-    os.close(handle)  # some systems cannot remove open files
-    with suppress(OSError):
-        (folder / OWNER).unlink(missing_ok=True)
-        folder.rmdir()
+        spaces = os.readlink("/proc/self/ns/pid")
+    return f"{crc32(f'{platform.node()} {spaces}'.encode()):08x}"
 
 
-def _flags() -> int:
-    """Return flags to open a file without following a link or waiting for a pipe's other end."""
-    return getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+def _is_alive(process: int) -> bool:
+    """Return whether there is a process with this number; True if that cannot be known."""
+    if sys.platform == "win32":
+        import ctypes
 
-
-def _is_at(handle: int, path: Path) -> bool:
+        kernel = ctypes.WinDLL("kernel32", use_last_error=True)
+        synchronize, invalid = 0x100000, 87  # the error for a number that is no process's
+        handle = kernel.OpenProcess(synchronize, False, process)
+        if not handle:
+            return ctypes.get_last_error() != invalid
+        kernel.CloseHandle(handle)
+        return True
     try:
-        return os.path.samestat(os.fstat(handle), path.lstat())
-    except FileNotFoundError:
+        os.kill(process, 0)
+    except ProcessLookupError:
         return False
-
-
-def _lock(handle: int) -> bool | None:
-    """Lock a file without waiting; False if another process holds it, None without lock support."""
-    try:
-        if sys.platform == "win32":
-            os.lseek(handle, FAR, os.SEEK_SET)
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-        else:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        return False if error.errno in HELD else None
+    except (OSError, OverflowError):
+        return True
     return True

@@ -22,7 +22,7 @@ from PIL import Image
 import clmorph
 from clmorph._shared import files, signals, staging
 from clmorph._shared.files import atomic_path, atomic_paths, check_place
-from clmorph._shared.staging import OWNER, PREFIX, clear_leftovers, staging_folder
+from clmorph._shared.staging import PREFIX, clear_leftovers, staging_folder
 from clmorph.cli.main import main
 from clmorph.errors import InputError, OutputError
 from clmorph.output.save import FORMATS
@@ -178,14 +178,14 @@ def test_a_signal_in_a_destructor_ends_the_run_all_the_same(monkeypatch, capfd):
 @posix
 def test_a_second_signal_does_not_disturb_the_clearing_up(monkeypatch, capfd):
     replace_writer(monkeypatch, "gif", killing(signal.SIGTERM))
-    usual = staging._remove
+    usual = shutil.rmtree
 
-    def remove(folder, handle):
+    def remove(folder, **options):
         os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGINT)
-        usual(folder, handle)
+        usual(folder, **options)
 
-    monkeypatch.setattr(staging, "_remove", remove)
+    monkeypatch.setattr(staging.shutil, "rmtree", remove)
     assert run("-o", "x.gif") == 143
     assert names() == []
 
@@ -287,57 +287,55 @@ def test_what_a_killed_run_leaves_is_removed_by_the_next(capfd):
 # Staging folders.
 
 
-def leftover(name="abcdefgh", host=None, content="half"):
-    folder = Path(f"{PREFIX}{name}")
+@pytest.fixture
+def gone():
+    """The number of a process that has ended."""
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        pass
+    return process.pid
+
+
+def leftover(process, end="abcdefgh", place=None):
+    folder = Path(f"{PREFIX}{process}-{place or staging._place()}-{end}")
     folder.mkdir()
-    (folder / OWNER).write_text(staging.platform.node() if host is None else host)
-    (folder / "new.gif").write_text(content)
+    (folder / "new.gif").write_text("half")
     (folder / "new").mkdir()
     (folder / "new" / "frame-0000.png").write_text("half")
     return folder
 
 
-def test_leftovers_go_with_the_next_file():
-    leftover()
-    leftover("bcdefghi", host="")
-    Path(f"{PREFIX}cdefghij").mkdir()  # killed before it was locked
+def test_leftovers_go_with_the_next_file(gone):
+    leftover(gone)
+    leftover(gone, "bcdefghi")
     with atomic_path("x.txt") as path:
         assert names() == [path.parent.name]
         path.write_text("x")
     assert names() == ["x.txt"]
 
 
-def test_what_is_another_machines_or_not_ours_stays(tmp_path):
-    leftover(host="another machine")
-    mine = Path(f"{PREFIX}mine")
-    mine.mkdir()
-    full = Path(f"{PREFIX}bcdefghi")
-    full.mkdir()
-    (full / "picture.png").write_text("kept")
-    Path(f"{PREFIX}cdefghij").write_text("a file")
+def test_what_is_another_machines_or_not_ours_stays(tmp_path, gone):
+    leftover(gone, place="00000000")
+    leftover(os.getpid())
+    leftover(2**70)  # no system has so many
+    for name in (f"{PREFIX}mine", f"{PREFIX}x-{staging._place()}-abcdefgh", f"{PREFIX}bcdefghi"):
+        Path(name).mkdir()
+    ours = f"{PREFIX}{gone}-{staging._place()}-"
+    Path(f"{ours}cdefghij").write_text("a file")
     linked = tmp_path / "linked"
     linked.mkdir()
-    (linked / OWNER).write_text("")
     (linked / "kept").write_text("")
-    before = names()
     if os.name != "nt":
-        Path(f"{PREFIX}defghijk").symlink_to(linked)
-        piped = Path(f"{PREFIX}efghijkl")
-        piped.mkdir()
-        os.mkfifo(piped / OWNER)
-        pointing = Path(f"{PREFIX}fghijklm")
-        pointing.mkdir()
-        (pointing / OWNER).symlink_to(linked / OWNER)
-        before = names()
+        Path(f"{ours}defghijk").symlink_to(linked)
+    before = names()
     clear_leftovers(Path())
     assert names() == before
-    assert names(linked) == ["kept", OWNER]
+    assert names(linked) == ["kept"]
     clear_leftovers(Path("missing"))
 
 
 @posix
-def test_another_users_leftovers_stay(monkeypatch):
-    folder = leftover()
+def test_another_users_leftovers_stay(monkeypatch, gone):
+    folder = leftover(gone)
     monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
     clear_leftovers(Path())
     assert folder.exists()
@@ -348,61 +346,6 @@ def test_runs_side_by_side_in_one_process_keep_theirs():
         clear_leftovers(Path())
         assert names() == sorted([one.name, other.name])
     assert names() == []
-
-
-@posix
-def test_a_folder_cleared_away_before_it_is_locked_is_made_anew(monkeypatch):
-    """Every order of making and clearing gives a folder that is locked and there."""
-    moments = {"mkdtemp": 2, "open": 2, "lock": 2}
-    usual = {"mkdtemp": staging.tempfile.mkdtemp, "open": os.open, "lock": staging._lock}
-    clearing = []
-
-    def disturbed(moment):
-        def step(*arguments, **options):
-            if moment == "lock" and not clearing and moments[moment]:
-                moments[moment] -= 1
-                clearing.append(moment)
-                clear_leftovers(Path.cwd())
-                clearing.clear()
-            result = usual[moment](*arguments, **options)
-            mine = moment == "mkdtemp" or (moment == "open" and arguments[1] & os.O_CREAT)
-            if mine and not clearing and moments[moment]:
-                moments[moment] -= 1
-                clearing.append(moment)
-                clear_leftovers(Path.cwd())
-                clearing.clear()
-            return result
-
-        return step
-
-    monkeypatch.setattr(staging.tempfile, "mkdtemp", disturbed("mkdtemp"))
-    monkeypatch.setattr(os, "open", disturbed("open"))
-    monkeypatch.setattr(staging, "_lock", disturbed("lock"))
-    with staging_folder(Path.cwd()) as folder:
-        assert set(moments.values()) == {0}
-        clear_leftovers(Path.cwd())
-        assert names() == [folder.name]
-    assert names() == []
-
-
-@posix
-def test_without_locks_files_are_written_and_nothing_is_removed(monkeypatch):
-    def flock(*arguments):
-        raise OSError(38, "Function not implemented")
-
-    monkeypatch.setattr(staging.fcntl, "flock", flock)
-    leftover()
-    with atomic_path("x.txt") as path:
-        path.write_text("x")
-    assert names() == [f"{PREFIX}abcdefgh", "x.txt"]
-
-
-@posix
-def test_a_folder_that_others_keep_removing_is_an_error(monkeypatch):
-    monkeypatch.setattr(staging, "_lock", lambda handle: False)
-    monkeypatch.setattr(staging, "TRIES", 2)
-    with pytest.raises(OutputError, match="another process"), atomic_path("x.txt"):
-        pytest.fail("there is no folder")
 
 
 # Places.
@@ -515,7 +458,7 @@ def test_a_spool_has_no_name(monkeypatch):
         spool.append(np.ones(9000, np.uint8))
         (folder,) = map(Path, names())
         assert staging.is_staging(folder)
-        assert names(folder) == [OWNER]
+        assert names(folder) == []
         assert not spool[0].any()
         assert spool[1].all()
     assert names() == []
@@ -661,7 +604,7 @@ def test_who_reads_the_old_file_goes_on(morph):
     assert clmorph.load("x.npz").parameters == {"clmorph": "other"}
 
 
-def test_what_goes_into_a_folder_is_made_there(tmp_path, morph, monkeypatch):
+def test_what_goes_into_a_folder_is_made_there(tmp_path, morph, monkeypatch, gone):
     """The folder may be a separate disk, or the only writable place."""
     homes = []
     usual = staging.tempfile.mkdtemp
@@ -672,7 +615,8 @@ def test_what_goes_into_a_folder_is_made_there(tmp_path, morph, monkeypatch):
 
     monkeypatch.setattr(staging.tempfile, "mkdtemp", mkdtemp)
     (tmp_path / "frames").mkdir()
-    leftover().rename(tmp_path / "frames" / f"{PREFIX}abcdefgh")  # which does not fill it
+    beside = leftover(gone)
+    beside.rename(tmp_path / "frames" / beside.name)  # which does not fill it
     morph.save(tmp_path / "frames")
     assert homes == [tmp_path / "frames"]
     assert names(tmp_path / "frames") == [f"frame-000{number}.png" for number in range(3)]
