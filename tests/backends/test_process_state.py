@@ -88,16 +88,17 @@ def test_threads_share_one_backend(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("body", "lasting"),
+    ("body", "words", "lasting"),
     [
-        ("import time; time.sleep(60)", False),
-        ("import os; os.abort()", True),
-        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", False),
-        ("import nothing_of_that_name", False),
-        (f"print({trial.LOADED!r}, flush=True); raise SystemExit(3)", True),
+        ("import time; time.sleep(60)", "within 1 s", False),
+        ("import os; os.abort()", "crashed", True),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "killed", False),
+        ("import nothing_of_that_name", "status 1: ModuleNotFoundError", False),
+        (f"print({trial.LOADED!r}, flush=True); raise SystemExit(3)", "status 3", True),
+        ("print('noise')", "status 0", False),
     ],
 )
-def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, lasting):
+def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, words, lasting):
     script = tmp_path / "probe.py"
     script.write_text(body)
     monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
@@ -105,6 +106,7 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, lasti
     # Only what sleeps runs out of time; the others may start late on a busy machine.
     verdict = trial.run_probe("0:0", seconds=1 if "sleep" in body else 60)
     assert not verdict["usable"]
+    assert words in verdict["reason"]
     verdicts.save_verdict("key", verdict)
     assert (verdicts.load_verdict("key") is not None) == lasting
 

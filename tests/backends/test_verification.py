@@ -247,6 +247,15 @@ def made(device, chosen=True):
     )
 
 
+def checking(monkeypatch, folder, lines, body=""):
+    """Let a script stand for the process of a check: it prints lines, and then runs a body."""
+    script = folder / "check.py"
+    script.write_text(
+        f"import os, signal, time; print(*{tuple(lines)!r}, sep='\\n', flush=True); {body}"
+    )
+    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+
+
 def forget_in_process():
     verdicts._programs.clear()
     verdicts._momentary.clear()
@@ -351,9 +360,7 @@ def test_a_wrong_program_makes_the_device_unusable(one, empty, monkeypatch):
 def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, words, lasting):
     key = program_key(one.device, OTHER, one.constants)
     lines = trial.LOADED, f"{trial.BEGUN} {key} {OTHER}"
-    script = empty / "check.py"
-    script.write_text(f"import os, time; print(*{lines!r}, sep='\\n', flush=True); {body}")
-    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+    checking(monkeypatch, empty, lines, body)
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
     for _ in range(2):
         with pytest.raises(DeviceError, match=words) as caught:
@@ -437,13 +444,9 @@ def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):
     """Ctrl-C reaches a check that a thread has started, too."""
     key = program_key(one.device, OTHER, one.constants)
     lines = trial.LOADED, f"{trial.BEGUN} {key} {OTHER}"
-    script = empty / "check.py"
-    script.write_text(
-        f"import os, signal; print(*{lines!r}, sep='\\n', flush=True)\n"
-        f"signal.signal(signal.SIGINT, signal.SIG_DFL); os.kill(os.getpid(), signal.{signal})"
-    )
+    default = "signal.signal(signal.SIGINT, signal.SIG_DFL)"
     with monkeypatch.context() as patch:
-        patch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+        checking(patch, empty, lines, f"{default}; os.kill(os.getpid(), signal.{signal})")
         with pytest.raises(DeviceError, match=r"was killed .*; try again"):
             made(one).verify(OTHER)
     assert verdicts.load_program_verdict(key) is None
@@ -466,18 +469,15 @@ def test_a_refused_build_is_of_one_program_only(one, empty, monkeypatch):
     reason = f"{OTHER}: a device cannot build {OTHER.file}: 71:2: error: too long"
     lines = [trial.LOADED, f"{trial.BEGUN} {key} {OTHER}", f"{trial.ENDED} {json.dumps(reason)}"]
     lines.append(f"{trial.VERDICT} {json.dumps(probe._failure(reason, lasting=True))}")
-    script = empty / "check.py"
-    script.write_text(f"print(*{lines!r}, sep='\\n')")
-    command = trial._command
-    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
-    for _ in range(2):
-        with pytest.raises(DeviceError, match=r"cannot run this: .*dimension 3") as caught:
-            made(one).verify(OTHER)
-        assert "\n" not in str(caught.value)
-        forget_in_process()
+    with monkeypatch.context() as patch:
+        checking(patch, empty, lines)
+        for _ in range(2):
+            with pytest.raises(DeviceError, match=r"cannot run this: .*dimension 3") as caught:
+                made(one).verify(OTHER)
+            assert "\n" not in str(caught.value)
+            forget_in_process()
     assert verdicts.load_program_verdict(key) == reason
     assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
-    monkeypatch.setattr(trial, "_command", command)
     made(one).verify(Variant("log_sum_exp.cl", 4, precise=True))
 
 
@@ -487,9 +487,7 @@ def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
         trial.LOADED, f"{trial.BEGUN} {keys[0]} {PLAIN}", trial.ENDED + ' ""',
         f"{trial.BEGUN} {keys[1]} {OTHER}",
     ]  # fmt: skip
-    script = empty / "check.py"
-    script.write_text(f"import os; print(*{lines!r}, sep='\\n', flush=True); os.abort()")
-    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+    checking(monkeypatch, empty, lines, "os.abort()")
     made(one).verify(PLAIN)
     with pytest.raises(DeviceError, match=r"crashed .* plan_rows.cl \(dimension 3, precise\)"):
         made(one).verify(OTHER)

@@ -415,6 +415,7 @@ def test_without_devices_advice_is_printed():
 
 # --- quirks -------------------------------------------------------------------------------
 
+
 @pytest.mark.parametrize("quirk", QUIRKS)
 def test_each_quirk_can_be_forced(device, monkeypatch, quirk):
     """What is built then is compared by `test_every_variant_is_right_with_each_quirk`."""
