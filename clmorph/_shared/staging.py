@@ -72,7 +72,7 @@ def _place() -> str:
     """Return a digest of the machine's name and, where there are some, the space of process ids."""
     spaces = ""
     with suppress(OSError):
-        spaces = os.readlink("/proc/self/ns/pid")
+        spaces = str(Path("/proc/self/ns/pid").readlink())
     return f"{crc32(f'{platform.node()} {spaces}'.encode()):08x}"
 
 

@@ -17,7 +17,6 @@ from conftest import TESTED, USABLE, found_anew
 from clmorph import DeviceError, InputError
 from clmorph.backends.comparison import Finding
 from clmorph.backends.interface import Operations
-from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import (
     apply_quirks,
     choose_constants,
