@@ -90,6 +90,12 @@ from .images.pixels import (
 from .measures.density import (
     density as density,
 )
+from .measures.grid import (
+    Grid as Grid,
+)
+from .measures.grid import (
+    grid_measure as grid_measure,
+)
 from .measures.lift import (
     lift as lift,
 )
@@ -180,6 +186,12 @@ from .transport.displacement import (
 from .transport.displacement import (
     displacement_statistics as displacement_statistics,
 )
+from .transport.displacement_field import (
+    DisplacementField as DisplacementField,
+)
+from .transport.displacement_field import (
+    displacement_field as displacement_field,
+)
 from .transport.divergence import (
     Divergence as Divergence,
 )
@@ -244,10 +256,12 @@ __all__ = [
     "DensityPath",
     "DeviceError",
     "Displacement",
+    "DisplacementField",
     "Divergence",
     "DivergenceMatrix",
     "FileError",
     "Gradient",
+    "Grid",
     "ImageWarning",
     "Lut",
     "OptionWarning",
@@ -277,12 +291,14 @@ __all__ = [
     "batch",
     "density",
     "density_path",
+    "displacement_field",
     "displacement_statistics",
     "divergence_matrix",
     "fit",
     "fit_lut",
     "get_backend",
     "gradient",
+    "grid_measure",
     "hessian_product",
     "inspect",
     "lift",

@@ -31,6 +31,8 @@ MAX_BATCH = 1 << 18
 #: Largest cost and largest rho, in units of epsilon: potentials are of their size, and beyond this
 #: float64 leaves no digits for epsilon.
 MAX_SPREAD = 1e12
+#: The largest number of cells along an axis of a grid: a line is summed for each of its places.
+MAX_AXIS = 4096
 #: The largest dimension of points: a kernel keeps one register for each coordinate.
 MAX_DIMENSION = 11
 
@@ -120,6 +122,16 @@ class Operations(Protocol):
         in float64, or in pairs of float32, which takes about three or nine times as long as
         `softmin`; float32 is used over near pairs where its error is proven to be at most `enough`,
         in nats.
+        """
+
+    def grid_log_sum_exp(
+        self, exponents: Float64, axes: Sequence[tuple[Float64, Float64]], precise: bool = False
+    ) -> Float64:
+        """Return log sum_j exp(e_j - |x_i - y_j|^2) over the cells j of a grid, in nats.
+
+        `exponents` e, an (m_1, ..., m_D) array, are -inf in empty cells, and not in all. `axes` are
+        coordinates of places, (n_k,), and of cells, (m_k,), along each axis; those of cells ascend
+        or descend. The result is an (n_1, ..., n_D) array. Sums are float32, or `precise` float64.
         """
 
     def start_iteration(

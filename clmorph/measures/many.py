@@ -11,6 +11,7 @@ from clmorph._shared.printable import printable
 from clmorph.backends.arrays import as_floats
 from clmorph.backends.interface import MAX_DIMENSION
 from clmorph.errors import InputError
+from clmorph.measures.grid import Grid
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import MAX_COORDINATE, WeightedPoints, as_measure
 
@@ -29,7 +30,7 @@ def as_many(name: str, value: Any) -> list[Any]:
     """
     if isinstance(value, tuple) and len(value) == 2 and all(map(_is_array, value)):
         return _unstacked(name, *value)
-    foreign = isinstance(value, str | bytes | Mapping | Measure | WeightedPoints)
+    foreign = isinstance(value, str | bytes | Mapping | Measure | WeightedPoints | Grid)
     if foreign or _is_array(value) or not isinstance(value, Iterable):
         what = printable(type(value).__name__)
         raise InputError(f"{name} is a {what}: expected {_EXPECTED}")
@@ -42,7 +43,7 @@ def as_many(name: str, value: Any) -> list[Any]:
 
 
 def _is_array(value: Any) -> bool:
-    return hasattr(value, "shape") and not isinstance(value, Measure | WeightedPoints)
+    return hasattr(value, "shape") and not isinstance(value, Measure | WeightedPoints | Grid)
 
 
 def _unstacked(name: str, weights: Any, points: Any) -> Checked:

@@ -12,6 +12,7 @@ from clmorph._shared.typing import Array, ArrayLike
 from clmorph.backends.arrays import as_floats
 from clmorph.backends.interface import MAX_DIMENSION, MAX_POINTS
 from clmorph.errors import InputError
+from clmorph.measures.grid import Grid, check_grid
 from clmorph.measures.measure import Measure, check_masses, check_measure
 
 #: Largest coordinate, in the unit of blur and reach.
@@ -56,8 +57,8 @@ class WeightedPoints:
         return float(as_floats("weights", self.weights).sum())
 
 
-#: Both kinds of measure that the solver takes.
-AnyMeasure = Measure | WeightedPoints
+#: The kinds of measure that the solver takes.
+AnyMeasure = Measure | WeightedPoints | Grid
 #: Argument of the public functions: a measure, (weights (N,), points (N, D) or (N,)), or points
 #: alone, an array, whose weights are then 1 / N.
 MeasureLike = AnyMeasure | tuple[ArrayLike, ArrayLike] | ArrayLike
@@ -94,13 +95,23 @@ def as_measures(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
             )
         if pair[0].has_metric_map:
             return pair
-    dimensions = pair[0].points.shape[1], pair[1].points.shape[1]
+    dimensions = dimension_of(pair[0]), dimension_of(pair[1])
     if dimensions[0] != dimensions[1]:
         raise InputError(
             f"source has points in {dimensions[0]} dimensions, target in {dimensions[1]}: "
             "expected the same"
         )
     return pair
+
+
+def dimension_of(measure: AnyMeasure) -> int:
+    """Return the dimension of a measure's points."""
+    return measure.dimension if isinstance(measure, Grid) else measure.points.shape[1]
+
+
+def corners_of(measure: AnyMeasure) -> Array:
+    """Return points, (K, D), whose bounding box is that of the measure."""
+    return measure.corners if isinstance(measure, Grid) else measure.points
 
 
 def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, WeightedPoints]:
@@ -141,6 +152,8 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
     if isinstance(value, Measure):
         check_measure(name, value)
         return value
+    if isinstance(value, Grid):
+        return check_grid(name, value)
     if isinstance(value, WeightedPoints):
         made = _weighted_points(name, value.weights, value.points, value.offsets)
         ours = (value.weights, value.points, value.offsets)

@@ -162,7 +162,7 @@ def sinkhorn_divergence(
 
     Parameters
     ----------
-    source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
+    source, target : Measure, Grid, WeightedPoints, or (weights (N,), points (N, D))
         Their masses may differ unless `reach` is None.
     blur, epsilon
         As in `clmorph.sinkhorn`.

@@ -30,7 +30,7 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.transport._solver.plan_softmin import inverse_rho, sent, uploaded
+from clmorph.transport._solver.plan_softmin import inverse_rho, sent, uploaded_pair
 from clmorph.transport.potentials import Potentials
 
 
@@ -121,7 +121,7 @@ def gradient(
             "use one metric for all pixels"
         )
     operations = get_backend(backend)
-    clouds = uploaded(operations, pair[0]), uploaded(operations, pair[1])
+    clouds = uploaded_pair(operations, pair)
     sides = (
         _side(operations, clouds, pair, potentials),
         _side(operations, clouds[::-1], pair[::-1], potentials.swapped()),
@@ -147,7 +147,7 @@ def divergence_gradient(
     with itself).
     """
     points, weights = [], []
-    both = uploaded(operations, pair[0]), uploaded(operations, pair[1])
+    both = uploaded_pair(operations, pair)
     for clouds, measures, potentials, own in (
         (both, pair, cross, selves[0]),
         # Swapped too, so that equal measures have derivatives that cancel to the bit.

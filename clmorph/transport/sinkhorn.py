@@ -22,6 +22,7 @@ from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver import geomloss as geomloss_schedule
 from clmorph.transport._solver.checks import (
+    check_grid_options,
     check_problem,
     check_solver_options,
     choose_truncation,
@@ -70,7 +71,7 @@ def sinkhorn(
 
     Parameters
     ----------
-    source, target : Measure, WeightedPoints, (weights (N,), points (N, D)), or points (N, D)
+    source, target : Measure, Grid, WeightedPoints, (weights (N,), points (N, D)), or (N, D) array
         Both in one space, with D from 1 to 11. Weights may be zero, and their sums may differ.
         Points alone weigh 1 / N each.
     blur : float, optional
@@ -154,6 +155,7 @@ def sinkhorn(
     verify = check_flag("verify", verify)
     report = check_progress(progress)
     pair = as_pair(source, target)
+    check_grid_options(pair, truncation, multiscale)
     operations = for_one_solve(get_backend(backend))
     check_problem(*pair, given, operations, precision, tol)
     g = None

@@ -49,6 +49,7 @@ HEADER = ["-Xclang", "-finclude-default-header", "-Xclang", "-fdeclare-opencl-bu
 ROW_FILES = ("barycentric_projection.cl", "log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl")
 VARIANTS = [
     *(Variant(file) for file in KERNELS if file not in (*ROW_FILES, "near_field.cl")),
+    Variant("grid_log_sum_exp.cl", precise=True),
     Variant("near_field.cl", 5, listed=True),
     *(
         Variant(file, 5, precise, listed, masked=listed and file == "plan_shares.cl")

@@ -11,6 +11,7 @@ from clmorph.backends.interface import MAX_SPREAD
 from clmorph.backends.numpy.batches import Batch, divide, for_each
 from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
 from clmorph.backends.numpy.color_table import apply_table
+from clmorph.backends.numpy.grids import grid_log_sum_exp
 from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
 from clmorph.backends.numpy.layers import draw_layers, edge_preserving_mean, follow_paths
 from clmorph.backends.numpy.nearest_seeds import nearest_seeds
@@ -64,6 +65,12 @@ class NumPyOperations:
             total = np.exp(exponents - largest[:, None]).sum(axis=1)
             result[block] = -epsilon * (largest + np.log(total))
         return result
+
+    def grid_log_sum_exp(
+        self, exponents: Float64, axes: Sequence[tuple[Float64, Float64]], precise: bool = False
+    ) -> Float64:
+        """Return log sum_j exp(e_j - |x_i - y_j|^2) over the cells of a grid."""
+        return grid_log_sum_exp(exponents, axes)
 
     def start_iteration(
         self,

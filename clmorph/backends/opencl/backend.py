@@ -17,6 +17,7 @@ from clmorph.backends.opencl.kernels.barycentric_projection import BarycentricPr
 from clmorph.backends.opencl.kernels.batches import BatchLogSumExp
 from clmorph.backends.opencl.kernels.clouds import CloudStore
 from clmorph.backends.opencl.kernels.color_table import ColorTable
+from clmorph.backends.opencl.kernels.grid_log_sum_exp import GridLogSumExp
 from clmorph.backends.opencl.kernels.half_steps import HalfSteps
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.kernels.layers import Layers
@@ -108,12 +109,14 @@ class OpenCLOperations:
         layers = Layers(self.work, self.constants, self.programs)
         seeds = NearestSeeds(self.work, self.constants, self.programs)
         tables = ColorTable(self.work, self.programs)
+        grids = GridLogSumExp(self.work, self.constants, self.programs)
 
         take_turns = self._take_turns
         self.upload = take_turns(clouds.upload)
         self.softmin = take_turns(log_sum_exp.softmin)
         self.bounded_softmin = take_turns(log_sum_exp.bounded_softmin)
         self.row_maxima = take_turns(log_sum_exp.row_maxima)
+        self.grid_log_sum_exp = take_turns(grids.grid_log_sum_exp)
         half_steps = HalfSteps(loop, take_turns)
         self.start_iteration = take_turns(half_steps.start_iteration)
         self.start_batch_iteration = take_turns(half_steps.start_batch_iteration)

@@ -22,6 +22,7 @@ from clmorph.backends.verification.clouds import (
     several_tiles,
     splat_case,
 )
+from clmorph.backends.verification.grids import check_grids
 from clmorph.backends.verification.iterations import check_iteration
 from clmorph.backends.verification.layers import check_layers, check_mean, check_paths
 from clmorph.backends.verification.plans import check_plan_rows, check_stored
@@ -226,6 +227,11 @@ def _drawn(
     yield from check(bench.operations, bench.exact, *(more if bench.pictures else ()))
 
 
+def _grids(bench: Bench, variant: Variant) -> _Findings:
+    large = ((70, 90), (33, 21, 40)) if bench.pictures else ()
+    yield from check_grids(bench.operations, bench.exact, variant.precise, large)
+
+
 _SORT = "count_bins", "fill_bins"
 _STORE = (*KERNELS["sliced_ellpack.cl"], *KERNELS["plan_rows.cl"])
 
@@ -271,6 +277,7 @@ TABLE = (
         partial(_drawn, check_nearest_seeds, ((120, 160), 20_000)),
     ),
     Row("color_table.cl", ("apply_table",), partial(_drawn, check_tables, (300_000, (17, 65)))),
+    Row("grid_log_sum_exp.cl", ("grid_log_sum_exp",), _grids),
     Row(
         "gauss_transform.cl",
         (*_SORT, "choose_width_levels", *KERNELS["gauss_transform.cl"]),

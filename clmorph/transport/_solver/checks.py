@@ -7,7 +7,8 @@ import numpy as np
 from clmorph._shared.validation import check_choice, check_number, shown
 from clmorph.backends.interface import MAX_SPREAD, Operations
 from clmorph.errors import DeviceError, InputError
-from clmorph.measures.points import AnyMeasure
+from clmorph.measures.grid import are_grids
+from clmorph.measures.points import AnyMeasure, corners_of
 from clmorph.transport._solver.problem import largest_cost
 from clmorph.transport._solver.softmin import MANY_PAIRS, many_pairs_factor
 from clmorph.transport.options import AlgorithmOptions, SolverOptions
@@ -41,6 +42,8 @@ def check_solver_options(
 
 def is_large(pair: tuple[AnyMeasure, AnyMeasure], operations: Operations | None = None) -> bool:
     """Return whether a problem is solved through coarser ones, with truncated sums."""
+    if are_grids(*pair):
+        return False
     factor = 1 if operations is None else many_pairs_factor(operations)
     return len(pair[0]) * len(pair[1]) >= factor * MANY_PAIRS
 
@@ -58,6 +61,17 @@ def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
             f"tol={tol:g}; lower it (a tenth of tol is usual) or raise tol"
         )
     return limit
+
+
+def check_grid_options(
+    pair: tuple[AnyMeasure, AnyMeasure], truncation: Any, multiscale: Any
+) -> None:
+    """Check that options are not those of sums over pairs, if both measures are grids."""
+    if are_grids(*pair) and (multiscale is True or not isinstance(truncation, str | None)):
+        raise InputError(
+            "between grids all cells are summed, an axis after the other: expected truncation and "
+            "multiscale as they are by default"
+        )
 
 
 def check_problem(
@@ -78,7 +92,7 @@ def check_problem(
             f"the masses {source.mass:g} and {target.mass:g} differ by {differ:.1e} of the first, "
             f"so balanced transport is {possible}: give a reach, or scale the weights to one mass"
         )
-    largest = largest_cost(source.points, target.points)
+    largest = largest_cost(corners_of(source), corners_of(target))
     if largest > operations.max_spread * given.epsilon:
         enough = 1.1 * np.sqrt(largest / operations.max_spread)  # the message rounds this
         other = ", or use backend='numpy'" if largest <= MAX_SPREAD * given.epsilon else ""

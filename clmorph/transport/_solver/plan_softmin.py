@@ -1,6 +1,6 @@
 """The softmin T(g) of a plan's rows, from which its rows are computed without storing the plan."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -8,7 +8,9 @@ from clmorph._shared.typing import Array
 from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.records import LastPasses
 from clmorph.backends.select import Backend, get_backend
-from clmorph.measures.points import AnyMeasure
+from clmorph.measures.grid import Grid, are_grids
+from clmorph.measures.points import AnyMeasure, corners_of
+from clmorph.transport._solver.grid_softmin import GridSoftmin
 from clmorph.transport._solver.problem import largest_cost
 from clmorph.transport._solver.softmin import Softmin, check_finite
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
@@ -93,6 +95,13 @@ def row_softmin(
     return operations, clouds, to_rows, softmin
 
 
+def uploaded_pair(operations: Operations, pair: tuple[AnyMeasure, AnyMeasure]) -> tuple[Any, Any]:
+    """Return both measures as clouds, for `row_projection`, which needs none of grids."""
+    if are_grids(*pair):
+        return None, None
+    return uploaded(operations, pair[0]), uploaded(operations, pair[1])
+
+
 def uploaded(operations: Operations, measure: AnyMeasure) -> Any:
     """Return a measure as a cloud in the backend's memory."""
     return operations.upload(measure.points, measure.weights, measure.offsets)
@@ -137,6 +146,11 @@ def row_projection(
     Where the solver left out most of the pairs, another pass chooses the near ones before.
     """
     check_potentials("potentials", potentials, (len(pair[0]), len(pair[1])))
+    if are_grids(*pair):
+        of_grids: Any = GridSoftmin(operations, cast(Grid, pair[0]), cast(Grid, pair[1]))
+        softmin, mean = of_grids.means(potentials.g, potentials.epsilon)
+        _check_rows(*pair, potentials, of_grids, softmin)
+        return softmin, mean
     to_rows, known = plan_softmin(operations, clouds, pair, potentials)
     g, epsilon, precise = potentials.g, potentials.epsilon, potentials.precise
     few = potentials.truncation is not None and potentials.visited <= FEW_NEAR
@@ -163,7 +177,7 @@ def rounding_of(
     to_rows: Softmin, source: AnyMeasure, target: AnyMeasure, potentials: Potentials
 ) -> float:
     """Return the largest effect of rounding on the softmin of a plan's rows, in nats."""
-    largest = largest_cost(source.points, target.points)
+    largest = largest_cost(corners_of(source), corners_of(target))
     return float(to_rows.rounding(largest, potentials.epsilon, potentials.precise))
 
 

@@ -7,7 +7,9 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.records import ResidentIteration
-from clmorph.measures.points import AnyMeasure
+from clmorph.measures.grid import are_grids
+from clmorph.measures.points import AnyMeasure, corners_of
+from clmorph.transport._solver.grid_softmin import GridSoftmin
 from clmorph.transport._solver.reductions import WHOLE, Reductions, largest_size, log_sum_exp
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.certificate import STEPS_ERROR, Certificate, Side, certify, marginal
@@ -76,6 +78,8 @@ class Problem:
         clouds: tuple[Any, Any] | None = None,
     ) -> Self:
         """Return the problem of two measures; they are uploaded unless the backend has `clouds`."""
+        if are_grids(source, target):
+            return cls._between_grids(operations, source, target, rho)
         if clouds is None:
             rows = columns = operations.upload(source.points, source.weights, source.offsets)
             if target is not source:
@@ -83,7 +87,7 @@ class Problem:
         else:
             rows, columns = clouds
         a, b = source.weights, target.weights
-        largest = largest_cost(source.points, target.points)
+        largest = largest_cost(corners_of(source), corners_of(target))
         one, other = (
             largest + (0.0 if side.offsets is None else float(np.ptp(side.offsets)))
             for side in (source, target)
@@ -93,6 +97,18 @@ class Problem:
             Softmin(operations, columns, rows, (b, a), truncation),
             (a, b), rho, largest, oscillations=(one, other),
         )  # fmt: skip
+
+    @classmethod
+    def _between_grids(
+        cls, operations: Operations, source: Any, target: Any, rho: tuple[float, float]
+    ) -> Self:
+        """Return the problem of two grids, whose iteration is the host's."""
+        made = cls(
+            GridSoftmin(operations, source, target), GridSoftmin(operations, target, source),
+            (source.weights, target.weights), rho, largest_cost(source.corners, target.corners),
+        )  # fmt: skip
+        made._asked = True
+        return made
 
     def with_truncation(self, truncation: float | None) -> "Problem":
         """Return this problem with its clouds; its softmins choose near pairs of their own."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray, Progress
+from clmorph.measures.grid import Grid
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.batch import some
 from clmorph.transport._solver.iteration import Iteration
@@ -28,9 +29,12 @@ def is_symmetric(pair: tuple[AnyMeasure, AnyMeasure], rho: tuple[float, float]) 
 
 def are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
     """Return whether two measures have the same points and the same weights."""
-    return np.array_equal(source.points, target.points) and np.array_equal(
-        source.weights, target.weights
-    )
+    if isinstance(source, Grid) and isinstance(target, Grid):
+        pairs = zip(source.axes, target.axes, strict=True)
+        places = source is target or all(np.array_equal(*axes) for axes in pairs)
+    else:
+        places = np.array_equal(source.points, target.points)
+    return places and np.array_equal(source.weights, target.weights)
 
 
 class SymmetricSteps:

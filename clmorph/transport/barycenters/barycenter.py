@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from clmorph._shared.validation import check_flag, check_integer, check_progress
 from clmorph.backends.arrays import as_floats
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
+from clmorph.measures.grid import Grid, are_grids
 from clmorph.measures.many import as_many
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import (
@@ -19,6 +20,7 @@ from clmorph.measures.points import (
     WeightedPoints,
     as_measure,
     as_measures,
+    dimension_of,
 )
 from clmorph.transport._solver.checks import check_problem, check_solver_options
 from clmorph.transport.barycenters.fixed_support import fixed_support
@@ -68,8 +70,9 @@ def barycenter(
         Of a free support the number of points, which begin at means of random draws from all
         measures, or with a reach at draws from their mixture; or the points with which the
         iteration begins, with their masses if it is a measure; by default as many points as the
-        largest measure has. Of a fixed support the points, such as those of a grid; their masses
-        do not matter.
+        largest measure has. Of a fixed support the points; their masses do not matter. Between
+        grids a fixed support may be a grid, whose mask counts, and is that of the first measure by
+        default.
     blur, epsilon
         As in `clmorph.sinkhorn`.
     reach : float or None
@@ -140,13 +143,13 @@ def barycenter(
             check_problem(first, each, call.given, operations, "auto")
     if fixed:
         found = fixed_support(
-            problem.measures, problem.shares, problem.start.points, call.given.epsilon, call.debias,
+            problem.measures, problem.shares, problem.start, call.given.epsilon, call.debias,
             call.tol, call.max_iter, operations, report,
         )  # fmt: skip
     else:
         found = free_support(
-            problem.measures, problem.shares, problem.start, call.given, call.debias, call.tol,
-            call.max_iter, operations, report,
+            problem.measures, problem.shares, cast(WeightedPoints, problem.start), call.given,
+            call.debias, call.tol, call.max_iter, operations, report,
         )  # fmt: skip
     warn_unless_converged(
         found.status,
@@ -189,7 +192,7 @@ class BarycenterProblem(NamedTuple):
 
     measures: list[AnyMeasure]
     shares: list[float]
-    start: WeightedPoints
+    start: WeightedPoints | Grid
 
 
 def prepared(measures: Any, weights: Any, support: Any, call: Call) -> BarycenterProblem:
@@ -200,8 +203,11 @@ def prepared(measures: Any, weights: Any, support: Any, call: Call) -> Barycente
     shown_ones = [k for k, share in enumerate(shares) if share > 0]
     used, parts = [whole[k] for k in shown_ones], [float(shares[k]) for k in shown_ones]
     if call.fixed:
+        mass = float(used[0].weights.sum())
+        if are_grids(*used) and (support is None or isinstance(support, Grid)):
+            return BarycenterProblem(used, parts, _fixed_grid(support, used[0], mass))
         points = _fixed_points(support, used[0])
-        even = np.full(len(points), used[0].weights.sum() / len(points))
+        even = np.full(len(points), mass / len(points))
         return BarycenterProblem(used, parts, WeightedPoints(points, even))
     balanced = bool(np.isinf(call.given.rho[0]))
     start = _free_start(support, used, parts, balanced, call.seed)
@@ -277,6 +283,15 @@ def _chosen(weights: Array, count: int, rng: np.random.Generator) -> IntArray:
     return np.minimum(np.searchsorted(sums, wanted, side="right"), np.flatnonzero(weights)[-1])
 
 
+def _fixed_grid(support: Any, measure: Any, mass: float) -> Grid:
+    """Return the grid of a fixed support, that of a measure by default, with even masses."""
+    grid = as_measure("support", measure if support is None else support)
+    assert isinstance(grid, Grid)
+    _check_dimension(grid, measure)
+    inside = np.ones(grid.shape) if grid.mask is None else grid.mask.astype(float)
+    return grid.with_masses(inside * (mass / inside.sum()))
+
+
 def _fixed_points(support: Any, measure: AnyMeasure) -> Array:
     """Return the points of a fixed support."""
     if support is None or isinstance(support, int | np.integer):
@@ -290,7 +305,7 @@ def _fixed_points(support: Any, measure: AnyMeasure) -> Array:
 
 def _as_points(support: Any, mass: float) -> WeightedPoints:
     """Return points, or a measure, as weighted points; points alone have equal masses."""
-    if not isinstance(support, WeightedPoints | Measure | tuple):
+    if not isinstance(support, WeightedPoints | Measure | Grid | tuple):
         points = as_floats("support", support, "points (N, D)")
         count = max(1, len(points) if points.ndim else 1)
         support = (np.full(count, mass / count), points)
@@ -298,8 +313,8 @@ def _as_points(support: Any, mass: float) -> WeightedPoints:
     return WeightedPoints(found.points, found.weights)
 
 
-def _check_dimension(support: WeightedPoints, measure: AnyMeasure) -> None:
-    ours, theirs = support.points.shape[1], measure.points.shape[1]
+def _check_dimension(support: AnyMeasure, measure: AnyMeasure) -> None:
+    ours, theirs = dimension_of(support), dimension_of(measure)
     if ours != theirs:
         raise InputError(
             f"support has points in {ours} dimensions, the measures in {theirs}: expected the same"

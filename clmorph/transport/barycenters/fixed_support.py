@@ -25,13 +25,17 @@ All sums over points are soft minima of a backend, so no matrix is stored.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from clmorph._shared.typing import Array, Progress
 from clmorph.backends.interface import Operations
+from clmorph.measures.grid import Grid, are_grids
 from clmorph.measures.points import AnyMeasure
+from clmorph.transport._solver.grid_softmin import GridSoftmin
 from clmorph.transport.barycenters.result import Barycenter
 
 #: The smallest logarithm of a mass, in nats below the mean: the square root of float64's range.
@@ -41,7 +45,7 @@ FAINTEST = -350.0
 def fixed_support(
     measures: Sequence[AnyMeasure],
     shares: Sequence[float],
-    points: Array,
+    support: AnyMeasure,
     epsilon: float,
     debias: bool,
     tol: float,
@@ -51,50 +55,65 @@ def fixed_support(
 ) -> Barycenter:
     """Return the barycenter's weights on given points.
 
-    measures: of equal masses; shares: positive shares of the measures, with the sum 1; points: (N,
-    D); report: called with the share of the work that is done.
+    measures: of equal masses; shares: positive shares of the measures, with the sum 1; support:
+    points of any masses, or a grid whose mask counts; report: called with the share of the work
+    that is done.
     """
     mass = float(measures[0].weights.sum())
-    unit = np.ones(len(points))
-    support = operations.upload(points, unit)
-    clouds = [operations.upload(each.points, each.weights) for each in measures]
+    unit = np.ones(len(support))
+    places: Any
+    clouds: list[Any]
+    softmin: Callable[[Any, Any, Array], Array]
+    if isinstance(support, Grid) and are_grids(*measures):
+        if support.mask is not None:
+            unit = support.mask.reshape(-1).astype(float)
+        places, clouds = replace(support, masses=unit.reshape(support.shape)), list(measures)
 
-    def softmin(rows: object, columns: object, potential: Array) -> Array:
-        return operations.softmin(rows, columns, potential, epsilon, precise=True)
+        def softmin(rows: Any, columns: Any, potential: Array) -> Array:
+            return GridSoftmin(operations, rows, columns)(potential, epsilon, precise=True)
 
-    f = [np.zeros(len(points)) for _ in measures]
+    else:
+        places = operations.upload(support.points, unit)
+        clouds = [operations.upload(each.points, each.weights) for each in measures]
+
+        def softmin(rows: Any, columns: Any, potential: Array) -> Array:
+            return operations.softmin(rows, columns, potential, epsilon, precise=True)
+
+    f = [np.zeros(len(unit)) for _ in measures]
     g: list[Array] = [np.zeros(0)] * len(measures)
-    log_d = np.zeros(len(points))
-    log_a = np.full(len(points), np.log(mass / len(points)))
+    log_d = np.zeros(len(unit))
+    log_a = np.full(len(unit), np.log(mass / unit.sum()))
     lowest = float(log_a[0]) + FAINTEST
     residuals: list[float] = []
     for number in range(max_iter):
         sums, error = [], 0.0
         for k, (cloud, measure) in enumerate(zip(clouds, measures, strict=True)):
-            arriving = softmin(cloud, support, f[k])
+            arriving = softmin(cloud, places, f[k])
             if number:
                 # The plan before this projection arrives in b exp((g_before - g_now) / epsilon).
                 miss = np.expm1(np.minimum((g[k] - arriving) / epsilon, 50.0))
                 error = max(error, float(measure.weights @ np.abs(miss)) / mass)
             g[k] = arriving
-            sums.append(softmin(support, cloud, arriving))
+            sums.append(softmin(places, cloud, arriving))
         before = log_a
         log_a = (
             log_d - sum(share * each for share, each in zip(shares, sums, strict=True)) / epsilon
         )
         log_a = np.maximum(log_a, lowest)
         if debias:
-            log_d = 0.5 * (log_d + log_a + softmin(support, support, epsilon * log_d) / epsilon)
+            log_d = 0.5 * (log_d + log_a + softmin(places, places, epsilon * log_d) / epsilon)
         f = [epsilon * log_a + each for each in sums]
-        change = float(np.abs(np.exp(log_a) - np.exp(before)).sum()) / mass
+        change = float(unit @ np.abs(np.exp(log_a) - np.exp(before))) / mass
         residuals.append(max(error, change) if number else 1.0)
         done = residuals[-1] <= tol
         report(1.0 if done else (number + 1) / max_iter)
         if done:
             break
     status = "converged" if residuals[-1] <= tol else "max_iter"
-    weights = np.exp(log_a)
+    weights = unit * np.exp(log_a)
+    weights *= mass / weights.sum()
+    grid = support.with_masses(weights) if isinstance(support, Grid) else None
     return Barycenter(
-        points, weights * (mass / weights.sum()), None, status, len(residuals), residuals[-1],
-        np.array(residuals),
+        support.points, weights, None, status, len(residuals), residuals[-1], np.array(residuals),
+        grid,
     )  # fmt: skip

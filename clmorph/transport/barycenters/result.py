@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clmorph._shared.typing import Array
+from clmorph.measures.grid import Grid
 from clmorph.measures.points import WeightedPoints
 
 
@@ -33,6 +34,8 @@ class Barycenter(WeightedPoints):
         largest error of a marginal, or the change of the masses, relative to the whole mass.
     residuals : (n_iter,) array
         The residual of each iteration.
+    grid : Grid or None
+        The barycenter as a grid, if it is one of grids on the cells of a grid.
 
     Examples
     --------
@@ -50,6 +53,7 @@ class Barycenter(WeightedPoints):
     n_iter: int = 0
     residual: float = 0.0
     residuals: Array = field(default_factory=lambda: np.zeros(0))
+    grid: Grid | None = None
 
     def __repr__(self) -> str:
         state = "converged" if self.converged else "not converged"

@@ -137,6 +137,11 @@ class BuildConstants:
         """Return the macros of ``common.cl``, for files that have none of their own."""
         return {"EXP2_BUILTIN": self.exp2_builtin, "SENTINEL": SENTINEL, "WIDTH": self.width}
 
+    def grid_macros(self, precise: bool) -> dict[str, int | float]:
+        """Return the macros of ``grid_log_sum_exp.cl``; `precise` sums are float64."""
+        lanes = self.lanes if precise else self.width
+        return {**self.common_macros(), "LANES": lanes, "PRECISE": 2 if precise else 0}
+
     def tile_level_macros(self) -> dict[str, int | float]:
         """Return the macros of ``tile_levels.cl``."""
         return {**self.common_macros(), "GROUP": self.group}

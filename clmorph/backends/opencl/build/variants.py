@@ -42,6 +42,8 @@ class Variant:
             "half_steps.cl": constants.half_step_macros,
             "sparse_half_steps.cl": constants.sparse_half_step_macros,
         }
+        if self.file == "grid_log_sum_exp.cl":
+            return constants.grid_macros(self.precise)
         if self.file in of_files:
             return of_files[self.file]()
         return constants.row_macros(
@@ -52,6 +54,8 @@ class Variant:
         """Return whether a device has what the file needs: float64, and long loops to iterate."""
         if self.file == "tile_levels.cl":
             return constants.precise == 2
+        if self.file == "grid_log_sum_exp.cl":
+            return not self.precise or constants.precise == 2
         return not self.is_optional or (constants.precise == 2 and not constants.longest_loop)
 
     @property
@@ -113,6 +117,7 @@ def all_variants(dimension: int = 5) -> tuple[Variant, ...]:
             for precise in both
             for listed in both
         ]
+    made += [Variant("grid_log_sum_exp.cl", precise=precise) for precise in both]
     rest = [Variant(file) for file in KERNELS if file not in {variant.file for variant in made}]
     return (*made, *rest)
 

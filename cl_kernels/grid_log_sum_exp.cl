@@ -1,0 +1,122 @@
+// A log-sum-exp along the last axis of a grid, which becomes the first axis of the result.
+//
+// For each line l of the grid and each place i of the result,
+//
+//     found[i, l] = log2 sum_j 2^(e[l, j] - (x_i - y_j)^2).
+//
+// Squared distances are sums over axes, so that such a pass for each axis sums over the whole grid.
+//
+// A work-item takes a line and `span` blocks of LANES places i. It takes CHUNK columns j together, first the
+// chunk that is nearest to its block, then those above and those below. Coordinates y ascend, so that terms fall
+// along each way but for e, whose maximum over the line bounds them: once no term of the rest of a way can be
+// above 2^-cut of the largest term, the way ends. All that is left out is less than n 2^-cut of the sum.
+//
+// Launch: dimension 0 covers blocks of places, dimension 1 lines from `first` on.
+//
+// Units: exponents in powers of two; coordinates in the square root of that. An empty cell has SENTINEL.
+//
+// -D PRECISE  0: float32; 2: float64
+// -D LANES    lanes of one work-item: WIDTH, or as many bytes of float64
+
+#include "common.cl"
+
+#ifndef PRECISE
+#error "PRECISE (0: float32, 2: float64) must be given"
+#endif
+#ifndef LANES
+#error "LANES (places that a work-item handles together) must be given"
+#endif
+
+#define CHUNK 8
+
+#if PRECISE
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+typedef double real;
+#if LANES == 1
+typedef double reals;
+#define LOAD(offset, p) ((p)[offset])
+#define SOME(v) (v)
+#else
+typedef CONCAT(double, LANES) reals;
+#define LOAD(offset, p) CONCAT(vload, LANES)(0, (p) + (offset))
+#define SOME(v) any(v)
+#endif
+#define POWER(v) exp2(v)
+#else
+typedef float real;
+typedef vreal reals;
+#define LOAD(offset, p) VLOAD(offset, p)
+#define SOME(v) ANY(v)
+#define POWER(v) exp2_nonpositive(v)
+#endif
+
+// Add the terms of columns j to j + CHUNK - 1 to sum 2^top.
+#define ADD_CHUNK(j)                                                    \
+    {                                                                   \
+        reals t[CHUNK];                                                 \
+        reals largest = top;                                            \
+        for (uint c = 0; c < CHUNK; ++c) {                              \
+            const real e = (j) + c < m ? own[(j) + c] : (real)SENTINEL; \
+            const reals d = u - (reals)(y[(j) + c]);                    \
+            t[c] = (reals)(e) - d * d;                                  \
+            largest = fmax(largest, t[c]);                              \
+        }                                                               \
+        sum *= POWER(top - largest);                                    \
+        top = largest;                                                  \
+        for (uint c = 0; c < CHUNK; ++c)                                \
+            sum += POWER(t[c] - top);                                   \
+    }
+
+// Whether a term at the coordinate v or beyond can matter.
+#define MATTERS(v) SOME((reals)(most + cut) - (u - (reals)(v)) * (u - (reals)(v)) > top)
+
+__kernel
+void grid_log_sum_exp(
+    const uint first, const uint lines, const uint span,
+    const uint n, const uint m, const real cut, // n places, m columns; cut: powers of two
+    const __global real* restrict exponents,    // (lines, m): e
+    const __global real* restrict x,            // (n, filled to LANES with the last one)
+    const __global real* restrict y,            // (m, filled to CHUNK with the last one), ascending
+    const __global uint* restrict nearest,      // for each block the chunk with which it begins
+    __global real* restrict found)              // (n, lines)
+{
+    const uint line = first + get_global_id(1);
+    const uint blocks = (n + LANES - 1) / LANES;
+    const uint begin = get_global_id(0) * span;
+    if (line >= lines || begin >= blocks)
+        return;
+    const __global real* own = exponents + (size_t)line * m;
+    real most = own[0];
+    for (uint j = 1; j < m; ++j)
+        most = fmax(most, own[j]);
+    const uint end = min(blocks, begin + span);
+    for (uint block = begin; block < end; ++block) {
+        const uint i = block * LANES;
+        const reals u = LOAD(i, x);
+        const real low = fmin(x[i], x[i + LANES - 1]);
+        const real high = fmax(x[i], x[i + LANES - 1]);
+        reals top = (reals)((real)SENTINEL);
+        reals sum = (reals)((real)0);
+        const uint start = nearest[block] * CHUNK;
+        ADD_CHUNK(start)
+        for (uint j = start + CHUNK; j < m; j += CHUNK) {
+            if (y[j] >= high && !MATTERS(y[j]))
+                break;
+            ADD_CHUNK(j)
+        }
+        for (uint j = start; j > 0; j -= CHUNK) {
+            if (y[j - 1] <= low && !MATTERS(y[j - 1]))
+                break;
+            ADD_CHUNK(j - CHUNK)
+        }
+        const reals result = top + log2(sum);
+#if LANES == 1
+        found[(size_t)i * lines + line] = result;
+#else
+        real results[LANES];
+        CONCAT(vstore, LANES)(result, 0, results);
+        for (uint lane = 0; lane < LANES && i + lane < n; ++lane)
+            found[(size_t)(i + lane) * lines + line] = results[lane];
+#endif
+    }
+}

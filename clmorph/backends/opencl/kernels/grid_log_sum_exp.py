@@ -1,0 +1,110 @@
+"""Sums over grids, one axis after the other: ``cl_kernels/grid_log_sum_exp.cl``."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pyopencl as cl
+
+from clmorph.backends.numpy.grids import grid_log_sum_exp as on_host
+from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
+from clmorph.backends.opencl.build.programs import Programs
+from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
+from clmorph.backends.records import Float64
+
+#: Columns that are handled together, the same as in the kernel.
+CHUNK = 8
+#: What a pass leaves out is at most 2 to the power of minus this share of a sum: in float32, and in
+#: float64.
+CUT = 26.0, 52.0
+#: Powers of two in a nat.
+LOG2_E = float(np.log2(np.e))
+
+
+class GridLogSumExp:
+    """Sums exponentials over grids."""
+
+    def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
+        self._work, self._constants, self._programs = work, constants, programs
+        self._kernels: dict[bool, cl.Kernel] = {}
+        self._budgets = {precise: LaunchBudget() for precise in (False, True)}
+
+    def grid_log_sum_exp(
+        self, exponents: Float64, axes: Sequence[tuple[Float64, Float64]], precise: bool = False
+    ) -> Float64:
+        """Return log sum_j exp(e_j - |x_i - y_j|^2); see `Operations`.
+
+        A device without float64 leaves precise sums to NumPy.
+        """
+        if precise and self._constants.precise != 2:
+            return on_host(exponents, axes)
+        if precise not in self._kernels:
+            variant = Variant("grid_log_sum_exp.cl", precise=precise)
+            self._kernels[precise] = self._programs.kernels(variant)["grid_log_sum_exp"]
+        real = np.float64 if precise else np.float32
+        largest = float(exponents.max())
+        scaled = (exponents - largest) * LOG2_E
+        np.maximum(scaled, SENTINEL, out=scaled)
+        current = self._work.buffer(scaled, real)
+        size, found = scaled.size, scaled
+        del scaled
+        for number, (x, y) in enumerate(reversed(axes)):
+            lines = size // len(y)
+            size = lines * len(x)
+            following = self._work.empty(size * real().itemsize)
+            last = number == len(axes) - 1
+            if last:
+                found = np.empty([len(each) for each, _ in axes], real)
+            results = ((found, following),) if last else ()
+            self._pass(current, following, lines, x, y, precise, results)
+            current = following
+        values = found.astype(np.float64)
+        values /= LOG2_E
+        values += largest
+        return values
+
+    def _pass(
+        self,
+        exponents: cl.MemoryObject,
+        found: cl.MemoryObject,
+        lines: int,
+        x: Float64,
+        y: Float64,
+        precise: bool,
+        results: tuple,
+    ) -> None:
+        """Sum along one axis."""
+        constants, budget = self._constants, self._budgets[precise]
+        real = np.float64 if precise else np.float32
+        lanes = constants.lanes if precise else constants.width
+        n, m = len(x), len(y)
+        if y[-1] < y[0]:
+            x, y = -x, -y
+        middle = 0.5 * (min(x.min(), y[0]) + max(x.max(), y[-1]))
+        x, y = (LOG2_E**0.5 * (each - middle) for each in (x, y))
+        blocks = -(-n // lanes)
+        x = np.concatenate((x, np.full(blocks * lanes - n, x[-1])))
+        # The column that is nearest to the middle of each block.
+        middles = 0.5 * (x[::lanes] + x[lanes - 1 :: lanes])
+        nearest = np.searchsorted(0.5 * (y[1:] + y[:-1]), middles) // CHUNK
+        y = np.concatenate((y, np.full(-m % CHUNK, y[-1])))
+        cut = real(CUT[precise] + np.log2(m))
+        # A CPU's work-item takes a whole line, unless loops must be short.
+        span = blocks if constants.group == 1 and not constants.longest_loop else 1
+        items = -(-blocks // span)
+        group = constants.group
+        buffers = (
+            self._work.buffer(x, real), self._work.buffer(y, real),
+            self._work.buffer(nearest, np.uint32),
+        )  # fmt: skip
+        first = 0
+        while first < lines:
+            count = int(np.clip(budget.pairs() // (n * m), 1, lines - first))
+            with budget.measure(count * n * m):
+                self._work.launch(
+                    self._kernels[precise], (-(-items // group) * group, count), (group, 1),
+                    np.uint32(first), np.uint32(lines), np.uint32(span), np.uint32(n),
+                    np.uint32(m), cut, exponents, *buffers, found,
+                    results=results if first + count == lines else (),
+                )  # fmt: skip
+            first += count

@@ -1,0 +1,61 @@
+"""Checks of sums over grids."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from clmorph.backends.comparison import UNIT, Finding
+from clmorph.backends.interface import Operations
+from clmorph.backends.records import Float64
+
+#: Numbers of places and of cells along the axes: fewer and more than lanes and chunks, and one.
+SIZES = (((37,), (50,)), ((5, 1), (1, 130)), ((9, 4, 17), (3, 21, 8)))
+#: Differences of neighboring coordinates in units of the kernel's width: sums over few neighbors,
+#: and over all cells.
+STEPS = 4.0, 0.6, 0.02
+
+
+def grid_case(
+    places: tuple[int, ...], cells: tuple[int, ...], step: float
+) -> tuple[Float64, list[tuple[Float64, Float64]]]:
+    """Return exponents, some of them far below the others or empty, and coordinates of an axis.
+
+    Steps between coordinates are of any size, and descend along the first axis.
+    """
+    rng = np.random.default_rng(11)
+    exponents = rng.normal(0, 3, cells)
+    exponents[rng.random(cells) < 0.2] -= 40.0
+    exponents[rng.random(cells) < 0.2] = -np.inf
+    exponents[0, ...] = -np.inf
+    exponents.ravel()[-1] = 1.0
+    axes = []
+    for number, counts in enumerate(zip(places, cells, strict=True)):
+        x, y = (step * np.cumsum(rng.uniform(0.5, 1.5, count)) for count in counts)
+        axes.append((x, y[::-1].copy()) if number == 0 else (x, y))
+    return exponents, axes
+
+
+def check_grids(
+    operations: Operations,
+    exact: Operations,
+    precise: bool,
+    more: tuple[tuple[int, ...], ...] = (),
+) -> Iterator[Finding]:
+    """Compare sums over grids.
+
+    In each pass exponents are rounded relative to their size, squared distances to the square of
+    the extent, and sums of m terms m times at most.
+    """
+    for places, cells in (*SIZES, *((shape, shape) for shape in more)):
+        for step in STEPS:
+            exponents, axes = grid_case(places, cells, step)
+            got = operations.grid_log_sum_exp(exponents, axes, precise)
+            want = exact.grid_log_sum_exp(exponents, axes, precise)
+            finite = exponents[np.isfinite(exponents)]
+            costs = sum(float(np.ptp(np.concatenate(axis))) ** 2 for axis in axes)
+            size = float(np.ptp(finite)) + 8 * costs + sum(cells) + 40
+            unit = 2.0**-50 if precise else 2 * UNIT
+            error = float(np.nan_to_num(np.abs(got - want), nan=np.inf).max())
+            tolerance = unit * len(axes) * size
+            name = f"grid_log_sum_exp, {' x '.join(map(str, places))}, step {step:g}"
+            yield Finding(name, error / tolerance, 1.0, "of the tolerance")
