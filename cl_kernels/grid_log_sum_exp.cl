@@ -50,22 +50,26 @@ typedef vreal reals;
 #define POWER(v) exp2_nonpositive(v)
 #endif
 
-// Add the terms of columns j to j + CHUNK - 1 to sum 2^top.
-#define ADD_CHUNK(j)                                                    \
-    {                                                                   \
-        reals t[CHUNK];                                                 \
-        reals largest = top;                                            \
-        for (uint c = 0; c < CHUNK; ++c) {                              \
-            const real e = (j) + c < m ? own[(j) + c] : (real)SENTINEL; \
-            const reals d = u - (reals)(y[(j) + c]);                    \
-            t[c] = (reals)(e) - d * d;                                  \
-            largest = fmax(largest, t[c]);                              \
-        }                                                               \
-        sum *= POWER(top - largest);                                    \
-        top = largest;                                                  \
-        for (uint c = 0; c < CHUNK; ++c)                                \
-            sum += POWER(t[c] - top);                                   \
+// Add the terms of columns j to j + CHUNK - 1 to the sum, which is *sum 2^*top.
+INLINE void add_chunk(
+    const __global real* own, const __global real* y, const uint j, const uint m, const reals u, reals* top, reals* sum)
+{
+    reals t[CHUNK];
+    reals largest = *top;
+#pragma unroll
+    for (uint c = 0; c < CHUNK; ++c) {
+        const real e = j + c < m ? own[j + c] : (real)SENTINEL;
+        const reals d = u - (reals)(y[j + c]);
+        t[c] = (reals)(e) - d * d;
+        largest = fmax(largest, t[c]);
     }
+    reals s = *sum * POWER(*top - largest);
+#pragma unroll
+    for (uint c = 0; c < CHUNK; ++c)
+        s += POWER(t[c] - largest);
+    *top = largest;
+    *sum = s;
+}
 
 // Whether a term at the coordinate v or beyond can matter.
 #define MATTERS(v) SOME((reals)(most + cut) - (u - (reals)(v)) * (u - (reals)(v)) > top)
@@ -98,16 +102,16 @@ void grid_log_sum_exp(
         reals top = (reals)((real)SENTINEL);
         reals sum = (reals)((real)0);
         const uint start = nearest[block] * CHUNK;
-        ADD_CHUNK(start)
+        add_chunk(own, y, start, m, u, &top, &sum);
         for (uint j = start + CHUNK; j < m; j += CHUNK) {
             if (y[j] >= high && !MATTERS(y[j]))
                 break;
-            ADD_CHUNK(j)
+            add_chunk(own, y, j, m, u, &top, &sum);
         }
         for (uint j = start; j > 0; j -= CHUNK) {
             if (y[j - 1] <= low && !MATTERS(y[j - 1]))
                 break;
-            ADD_CHUNK(j - CHUNK)
+            add_chunk(own, y, j - CHUNK, m, u, &top, &sum);
         }
         const reals result = top + log2(sum);
 #if LANES == 1

@@ -3,6 +3,7 @@
     python tools/cross_check.py --count 500
     python tools/cross_check.py --count 500 --device 0:0 --device numpy
     python tools/cross_check.py --seed 0 --only 17 --device 0:0     the one problem again
+    python tools/cross_check.py --grids --count 200                 problems between grids
 
 Each problem is made from the seed and its number alone, and solved on every usable OpenCL device
 and in NumPy. The judge knows nothing of the library's solver: it sums over all pairs in long
@@ -72,15 +73,15 @@ def limited(seconds: float) -> Iterator[None]:
 class Judge:
     """Problems with their optima, worked out once for all backends."""
 
-    def __init__(self, seed: int, patience: float = PATIENCE) -> None:
-        self._seed, self._patience = seed, patience
+    def __init__(self, seed: int, patience: float = PATIENCE, grids: bool = False) -> None:
+        self._seed, self._patience, self._grids = seed, patience, grids
         self._problem: Problem | None = None
         self._solved: tuple[int, Dense, Optimum | None] | None = None
 
     def problem(self, number: int) -> Problem:
         """Return the problem of a number."""
         if self._problem is None or self._problem.number != number:
-            self._problem = make(self._seed, number)
+            self._problem = make(self._seed, number, self._grids)
         return self._problem
 
     def optimum(self, number: int) -> tuple[Dense, Optimum | None]:
@@ -131,14 +132,14 @@ class Judge:
 
 def run(
     backends: Sequence[str], seed: int, numbers: Sequence[int], findings: Findings,
-    largest: int | None = None, patience: float = PATIENCE,
+    largest: int | None = None, patience: float = PATIENCE, grids: bool = False,
 ) -> list[str]:  # fmt: skip
     """Hold problems against the truth on some backends, and return lines that sum it up.
 
     Problems with more than `largest` pairs of points are left out; `patience` is in seconds of
-    work for a solve, but for what large problems take.
+    work for a solve, but for what large problems take; `grids` are problems between grids.
     """
-    judge = Judge(seed, patience)
+    judge = Judge(seed, patience, grids)
     counts: dict[str, Counter[str]] = {name: Counter() for name in backends}
     worst: dict[str, dict[str, tuple[float, int]]] = {name: {} for name in backends}
     widened: dict[str, float] = defaultdict(float)
@@ -165,7 +166,9 @@ def run(
                 )
                 if outcome.broken:
                     what = f"{number}, {outcome.check}: {outcome.words} ({problem.words})"
-                    findings.add(name, what, ["--only", str(number), "--device", name])
+                    findings.add(
+                        name, what, [*grids * ["--grids"], "--only", str(number), "--device", name]
+                    )
     lines = []
     for name, count in counts.items():
         told_of = ", ".join(f"{count[key]} {key}" for key in count if key not in CHECKS)
@@ -199,6 +202,7 @@ def main(given: list[str] | None = None) -> int:
                         help="index or part of the name of a device, or 'numpy'; may be given "
                              "several times [default: all, and numpy]")  # fmt: skip
     parser.add_argument("--only", type=int, metavar="NUMBER", help="this one problem")
+    parser.add_argument("--grids", action="store_true", help="problems between grids")
     arguments = parser.parse_args(given)
     if arguments.count < 1 or arguments.seed < 0 or (arguments.only or 0) < 0:
         parser.error("--count: expected at least 1; --seed and --only: at least 0")
@@ -209,11 +213,11 @@ def main(given: list[str] | None = None) -> int:
     print(f"the judge computes with {np.finfo(NUMBER).nmant + 1} bits")
     numbers, largest = range(arguments.count), None
     if arguments.only is not None:
-        problem = make(arguments.seed, arguments.only)
+        problem = make(arguments.seed, arguments.only, arguments.grids)
         numbers, largest = [arguments.only], problem.pairs
         print(f"{arguments.only}: {problem.words}; to be refused: {problem.refused or 'no'}")
     findings = Findings(["--seed", str(arguments.seed)])
-    print("\n".join(run(names, arguments.seed, numbers, findings, largest)))
+    print("\n".join(run(names, arguments.seed, numbers, findings, largest, grids=arguments.grids)))
     return findings.end()
 
 

@@ -113,7 +113,10 @@ def examples() -> dict[str, Any]:
     morph = clmorph.morph(a, b, n_frames=2, backend="numpy")
     reference = clmorph.reference.morph(a, b, n_frames=2)
     divergence = clmorph.sinkhorn_divergence(source, target, backend="numpy")
+    cells = clmorph.grid_measure(np.eye(3))
     return {
+        "cells": cells,
+        "of_cells": clmorph.sinkhorn(cells, cells, 0.5, 1.0, backend="numpy"),
         "a": a,
         "b": b,
         "source": source,
@@ -272,6 +275,16 @@ def cases() -> dict[str, dict[str, Any]]:
             "seed": 0, "progress": Idle(),
         },
         "density": {"values": some["grid"]},
+        "grid_measure": {
+            "values": some["grid"], "spacing": 0.5, "origin": (0.0, 1.0),
+            "mask": some["grid"] > 0, "axes": None,
+        },
+        "Grid.array": {"self": some["cells"], "values": some["cells"].weights},
+        "Grid.with_masses": {"self": some["cells"], "masses": some["grid"]},
+        "displacement_field": {
+            "source": some["cells"], "target": some["cells"], "potentials": some["of_cells"],
+            "backend": "numpy",
+        },
         "density_path": SOLVER | {
             "source": some["grid"], "target": some["grid"].T, "blur": 0.05, "reach": 0.3,
             "backend": "numpy",

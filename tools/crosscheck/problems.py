@@ -58,9 +58,11 @@ def parts(measure: Any) -> tuple[Array, Array, Array | None]:
     return measure.weights, measure.points, getattr(measure, "offsets", None)
 
 
-def make(seed: int, number: int) -> Problem:
-    """Return the problem of a number."""
+def make(seed: int, number: int, grids: bool = False) -> Problem:
+    """Return the problem of a number, between points or pictures, or between grids."""
     rng = np.random.default_rng([seed, number])
+    if grids:
+        return _between_grids(rng, number)
     size = rng.random()
     most = SMALL
     if size < MIDDLE_SHARE + LARGE_SHARE:
@@ -87,6 +89,49 @@ def make(seed: int, number: int) -> Problem:
         f"reach {reach}, {options}"
     )
     return Problem(number, source, target, blur, reach, options, words, refused)
+
+
+def _between_grids(rng: np.random.Generator, number: int) -> Problem:
+    """Draw grids of 1 to 4 axes, with masks, steps of any size and any direction, and options."""
+    kinds = [(True, True), (True, False), (False, True), (False, False)]
+    balanced = kinds[rng.integers(4)]
+    dimension, kind = int(rng.integers(1, 5)), str(rng.choice(WEIGHTS))
+    most = round(SMALL ** (1 / dimension))
+    shapes = rng.integers(1, most + 1, (2, dimension))
+    shift = float(rng.choice([0.0, 100.0]))
+    made = [_grid(rng, tuple(shape), kind, shift) for shape in shapes]
+    if all(balanced):
+        made = [grid.with_masses(grid.masses / grid.mass) for grid in made]
+    if rng.random() < 0.2:
+        made[1] = made[0]
+    lengths = [None if fixed else _log_uniform(rng, 0.01, 30.0) for fixed in balanced]
+    blur = _log_uniform(rng, 0.003, 1.0)
+    options = {
+        "tol": _log_uniform(rng, 1e-9, 1e-2),
+        "max_iter": int(rng.integers(1, 400)),
+        "precision": str(rng.choice(["auto", "float32"])),
+    }
+    words = (
+        f"grids {made[0].shape} and {made[1].shape}, {kind} weights, blur {blur:.4g}, "
+        f"reach {lengths}, {options}"
+    )
+    return Problem(number, made[0], made[1], blur, (lengths[0], lengths[1]), options, words)
+
+
+def _grid(
+    rng: np.random.Generator, shape: tuple[int, ...], kind: str, shift: float
+) -> clmorph.Grid:
+    count = int(np.prod(shape))
+    mask = rng.random(shape) < rng.choice([0.6, 1.0])
+    masses = _weights(rng, kind, count).reshape(shape)
+    mask.flat[np.argmax(masses)] = True
+    size = 10 ** rng.uniform(-1, 0.5)
+    axes = []
+    for n in shape:
+        steps = rng.random(n) if rng.random() < 0.5 else np.full(n, rng.random())
+        axis = shift + size * (rng.random() + np.cumsum(steps + 1e-3) / max(4, n))
+        axes.append(axis[:: rng.choice([-1, 1])])
+    return clmorph.grid_measure(np.where(mask, masses, np.nan), mask=mask, axes=axes)
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

@@ -69,8 +69,11 @@ class GridSoftmin:
 
     def _sum(self, exponents: Array, epsilon: float, precise: bool) -> Array:
         scale = (0.5 / epsilon) ** 0.5
+        # Coordinates are counted from the first cell, so that far from the origin squared distances
+        # are not rounded by more.
         axes = [
-            (scale * x, scale * y) for x, y in zip(self.rows.axes, self.columns.axes, strict=True)
+            (scale * (x - y[0]), scale * (y - y[0]))
+            for x, y in zip(self.rows.axes, self.columns.axes, strict=True)
         ]
         found = self.operations.grid_log_sum_exp(
             exponents.reshape(self.columns.shape), axes, precise
