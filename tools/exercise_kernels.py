@@ -10,6 +10,7 @@ it finds: LOG must be empty; and it begins LOG anew with each context, hence one
 run. Results are compared with NumPy.
 """
 
+import itertools
 import sys
 import time
 from dataclasses import replace
@@ -24,6 +25,7 @@ from clmorph.backends.opencl.build import constants as build_constants
 from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.backends.verification.grids import SIZES, grid_case
 from clmorph.backends.verification.layers import mean_cases, path_cases, scenes
 from clmorph.backends.verification.tables import colors_of, tables
 from clmorph.measures.points import WeightedPoints
@@ -210,6 +212,8 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     for table in tables((2, 5)).values():
         on_device = operations.upload_table(table)
         results.append(operations.apply_table(on_device, colors_of(70, len(table))))
+    for sizes, precise in itertools.product(SIZES, (False, True)):
+        results.append(operations.grid_log_sum_exp(*grid_case(*sizes, 0.6), precise))
     for method in ("gather", "moments"):
         if isinstance(operations, OpenCLOperations):
             operations.splatting.method = method
