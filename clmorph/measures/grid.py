@@ -229,6 +229,12 @@ def grid_measure(
                 f"mask has shape {chosen.shape} and dtype {chosen.dtype}: expected {masses.shape} "
                 "and bool, as of a comparison"
             )
+        theirs = getattr(mask, "dims", dims)
+        if named and isinstance(theirs, tuple) and theirs != dims:
+            raise InputError(
+                f"mask has the dimensions {shown(theirs)}, values {shown(dims)}: expected the same "
+                "order; use mask.transpose(*values.dims)"
+            )
         chosen = np.array(chosen, bool)
     if not isinstance(axes, list | tuple):
         raise InputError(f"axes={shown(axes)}: expected a list of arrays, one for each axis")
