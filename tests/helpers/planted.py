@@ -78,6 +78,7 @@ FAULTS = [
     Fault("nearest_seeds.cl", "nearest_seeds", "number *= WAYS;", "number = WAYS * number + 1;",
           "nearest_seeds"),
     Fault("color_table.cl", "apply_table", "whole - to_least", "to_least", "apply_table"),
+    Fault("grid_log_sum_exp.cl", "grid_powers", "j < m ?", "j + 1 < m ?", "grid_log_sum_exp"),
     Fault("grid_log_sum_exp.cl", "grid_log_sum_exp", "j - CHUNK, m,", "j, m,",
           "grid_log_sum_exp"),
     Fault("gauss_transform.cl", "sum_moments", "chunk + MOMENT_CHUNK),",

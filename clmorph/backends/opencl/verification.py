@@ -277,7 +277,7 @@ TABLE = (
         partial(_drawn, check_nearest_seeds, ((120, 160), 20_000)),
     ),
     Row("color_table.cl", ("apply_table",), partial(_drawn, check_tables, (300_000, (17, 65)))),
-    Row("grid_log_sum_exp.cl", ("grid_log_sum_exp",), _grids),
+    Row("grid_log_sum_exp.cl", KERNELS["grid_log_sum_exp.cl"], _grids),
     Row(
         "gauss_transform.cl",
         (*_SORT, "choose_width_levels", *KERNELS["gauss_transform.cl"]),

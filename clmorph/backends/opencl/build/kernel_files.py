@@ -21,6 +21,6 @@ KERNELS = {
     "layers.cl": ("edge_preserving_mean", "follow_paths", "place_layer", "draw_layers"),
     "nearest_seeds.cl": ("nearest_seeds",),
     "color_table.cl": ("apply_table",),
-    "grid_log_sum_exp.cl": ("grid_log_sum_exp",),
+    "grid_log_sum_exp.cl": ("grid_powers", "grid_log_sum_exp"),
     "gauss_transform.cl": ("sum_moments", "sum_rows", "sum_columns"),
 }  # fmt: skip

@@ -12,8 +12,11 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.records import Float64
 
-#: Columns that are handled together, the same as in the kernel.
-CHUNK = 8
+#: Columns that are handled together in sums of exponents, and in those of products, the same as in
+#: the kernel.
+CHUNK, UNROLL = 8, 4
+#: Powers of two under which a kernel counts as 0.
+FAINTEST = -126.0, -1022.0
 #: What a pass leaves out is at most 2 to the power of minus this share of a sum: in float32, and in
 #: float64.
 CUT = 26.0, 52.0
@@ -26,7 +29,7 @@ class GridLogSumExp:
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants, self._programs = work, constants, programs
-        self._kernels: dict[bool, cl.Kernel] = {}
+        self._kernels: dict[bool, dict[str, cl.Kernel]] = {}
         self._budgets = {precise: LaunchBudget() for precise in (False, True)}
 
     def grid_log_sum_exp(
@@ -40,7 +43,7 @@ class GridLogSumExp:
             return on_host(exponents, axes)
         if precise not in self._kernels:
             variant = Variant("grid_log_sum_exp.cl", precise=precise)
-            self._kernels[precise] = self._programs.kernels(variant)["grid_log_sum_exp"]
+            self._kernels[precise] = self._programs.kernels(variant)
         real = np.float64 if precise else np.float32
         largest = float(exponents.max())
         scaled = (exponents - largest) * LOG2_E
@@ -87,24 +90,44 @@ class GridLogSumExp:
         # The column that is nearest to the middle of each block.
         middles = 0.5 * (x[::lanes] + x[lanes - 1 :: lanes])
         nearest = np.searchsorted(0.5 * (y[1:] + y[:-1]), middles) // CHUNK
+        stride = -(-m // UNROLL) * UNROLL
+        table = np.full((stride, len(x)), -np.inf)
+        table[:m] = -((y[:, None] - x) ** 2)
+        table[table <= FAINTEST[precise]] = -np.inf
+        parts = np.isfinite(table).reshape(stride // UNROLL, UNROLL, blocks, lanes)
+        seen = np.any(parts, axis=(1, 3))
+        first, end = (np.argmax(each, axis=0) for each in (seen, seen[::-1]))
+        end = np.where(seen.any(axis=0), len(seen) - end, first)
+        ways = np.stack((nearest, UNROLL * first, UNROLL * end), axis=1)
         y = np.concatenate((y, np.full(-m % CHUNK, y[-1])))
         cut = real(CUT[precise] + np.log2(m))
         # A CPU's work-item takes a whole line, unless loops must be short.
         span = blocks if constants.group == 1 and not constants.longest_loop else 1
         items = -(-blocks // span)
         group = constants.group
+        largest, powers = (
+            self._work.empty(size * real().itemsize) for size in (lines, lines * stride)
+        )
+        with np.errstate(under="ignore"):
+            table = np.exp2(table)
         buffers = (
-            self._work.buffer(x, real), self._work.buffer(y, real),
-            self._work.buffer(nearest, np.uint32),
+            largest, powers, self._work.buffer(table, real), self._work.buffer(x, real),
+            self._work.buffer(y, real), self._work.buffer(ways, np.uint32),
         )  # fmt: skip
-        first = 0
-        while first < lines:
-            count = int(np.clip(budget.pairs() // (n * m), 1, lines - first))
+        done = 0
+        while done < lines:
+            count = int(np.clip(budget.pairs() // (n * m), 1, lines - done))
             with budget.measure(count * n * m):
                 self._work.launch(
-                    self._kernels[precise], (-(-items // group) * group, count), (group, 1),
-                    np.uint32(first), np.uint32(lines), np.uint32(span), np.uint32(n),
-                    np.uint32(m), cut, exponents, *buffers, found,
-                    results=results if first + count == lines else (),
+                    self._kernels[precise]["grid_powers"], (-(-count // group) * group,), (group,),
+                    np.uint32(done), np.uint32(min(lines, done + count)), np.uint32(m),
+                    np.uint32(stride), exponents, largest, powers,
                 )  # fmt: skip
-            first += count
+                self._work.launch(
+                    self._kernels[precise]["grid_log_sum_exp"],
+                    (-(-items // group) * group, count), (group, 1),
+                    np.uint32(done), np.uint32(lines), np.uint32(span), np.uint32(n),
+                    np.uint32(m), np.uint32(stride), cut, exponents, *buffers, found,
+                    results=results if done + count == lines else (),
+                )  # fmt: skip
+            done += count
