@@ -44,7 +44,8 @@ SECTIONS = {
         "lift", "density", "Measure", "WeightedPoints", "sinkhorn", "Potentials", "transport_plan",
         "Plan", "sample_plan", "barycentric_plan", "Barycentric", "displacement_statistics",
         "Displacement", "sinkhorn_divergence", "Divergence", "gradient", "Gradient", "barycenter",
-        "Barycenter", "hessian_product", "assignment", "Assignment",
+        "Barycenter", "hessian_product", "assignment", "Assignment", "grid_measure", "Grid",
+        "displacement_field", "DisplacementField",
     ),
     "Many problems": (
         "sinkhorn_batch", "PotentialsBatch", "sinkhorn_divergence_batch", "divergence_matrix",
