@@ -299,6 +299,7 @@ def test_options_are_checked_before_devices_are_sought(pictures, capfd, monkeypa
     assert capfd.readouterr().err.startswith("clmorph: error: --frames 0: expected")
 
 
+@pytest.mark.full
 def test_nobody_reads_on(pictures):
     arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "2", "--backend", "numpy"]
     with Path("/dev/full").open("w") as full:

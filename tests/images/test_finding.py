@@ -73,6 +73,7 @@ def test_pictures_without_contrast_and_of_any_size(no_mesh, shape, rng):
         assert Finder([image, image * 0.5 + 0.2]).common(0, 1).text == ""
 
 
+@pytest.mark.full
 def test_large_pictures_take_no_longer(no_mesh):
     """They are reduced first: 16 megapixels take less than two seconds where nothing else runs."""
     large = np.kron(photograph("astronaut.png"), np.ones((8, 8, 1)))

@@ -473,6 +473,7 @@ def test_valid_files_that_are_not_read_are_not_called_damaged(read):
 
 @pytest.mark.parametrize("mode", ["RGB", "RGBA"])
 @pytest.mark.parametrize("kind", ["QOI", "DDS"])
+@pytest.mark.full
 def test_large_files_of_rare_kinds_are_read_soon(tmp_path, rng, kind, mode):
     """Pillow decodes them in Python: 4 megapixels took 8 s."""
     array = rng.integers(0, 256, (2000, 2000, len(mode)), np.uint8)

@@ -289,6 +289,7 @@ def test_a_browser_plays_it(browser, tmp_path, name):
     assert np.abs(np.array(found[3:]) - wanted).max() < 4
 
 
+@pytest.mark.full
 def test_memory_does_not_grow_with_the_length(tmp_path):
     clmorph.write_lut(tmp_path / "gray.cube", clmorph.Lut(np.full((2, 2, 2, 3), 0.5)))
     code = (

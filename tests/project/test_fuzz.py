@@ -21,6 +21,7 @@ def fuzz(*arguments, tools=TOOLS):
 @pytest.mark.parametrize(
     ("target", "count"), [("images", "300"), ("configs", "40"), ("api", "200")]
 )
+@pytest.mark.full
 def test_nothing_gives_way(target, count):
     done = fuzz(target, "--count", count, "--seed", SEED, "--jobs", "1")
     assert done.returncode == 0, done.stdout + done.stderr

@@ -6,9 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.full
 def test_a_selection_without_devices():
     """No driver is registered there; a whole run without devices takes minutes."""
     dropped = ("CLMORPH_TEST_REQUIRE", "CLMORPH_DEVICE", "PYOPENCL_CTX")

@@ -108,6 +108,7 @@ def test_kinds_of_work(opened, pictures, place):
     assert page.locator("#kind-mix").get_attribute("aria-selected") == "true"
 
 
+@pytest.mark.full
 def test_painted_regions_go_into_each_other(opened, pictures, place):
     page = opened()
     take(page, pictures)

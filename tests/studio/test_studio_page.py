@@ -23,6 +23,7 @@ from studio_pages import (
 __all__ = ["browser", "opened", "pictures", "place", "port"]
 
 
+@pytest.mark.full
 def test_pasted_pictures_and_landmarks_that_are_moved(opened, pictures):
     page = opened()
     for path in pictures:

@@ -55,6 +55,7 @@ def pairs(page):
     return page.evaluate("studio.landmarks.pairs()")
 
 
+@pytest.mark.full
 def test_found_points_are_shown_moved_removed_and_found_again(opened, portraits, place):
     page = opened()
     take(page, portraits)
@@ -121,6 +122,7 @@ def test_points_are_set_in_single_pixels_of_an_enlarged_picture(opened, place):
     assert pairs(page)[1][0][0] - point[0] == pytest.approx(12.0, abs=0.5)
 
 
+@pytest.mark.full
 def test_a_reload_keeps_pictures_points_settings_and_the_result(opened, pictures):
     page = opened()
     asked = []
