@@ -8,10 +8,10 @@ the command line, in TOML and in recipes: there it can have another name (``fram
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from clmorph._shared.option_kinds import Kind
 from clmorph._shared.validation import as_float, shown
@@ -58,15 +58,55 @@ def with_default(options: type["Options"], name: str, value: Any) -> Any:
 class Options:
     """Base of the classes of options, which are frozen, keyword-only and checked on creation."""
 
+    #: Pairs of options that exclude each other, and why.
+    alternatives: ClassVar[Mapping[tuple[str, str], str]] = {}
+    #: Those of the pairs whose first option has a default, which the second one replaces.
+    replacing: ClassVar[Sequence[tuple[str, str]]] = ()
+
     def __init__(self, **given: Any) -> None:
         known = specifications(type(self))
         for name in given:
             if name not in known:
                 raise InputError(unknown_option(name, known))
+        self._check_alternatives(given)
         values = {name: getattr(type(self), name) for name in known} | given
-        for name, value in self.settle(values, given).items():
-            object.__setattr__(self, name, self.checked(name, value))
-        self.check_together()
+        for name, other in self.replacing:
+            if given.get(other) is not None and name not in given:
+                values[name] = None
+        checked = {name: self.checked(name, value) for name, value in values.items()}
+        for name, value in self.settle(checked).items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def layered(cls, layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+        """Merge several layers of options, by their names in Python, into one; later layers win.
+
+        An option also removes its alternatives from earlier layers. A layer that contradicts itself
+        is refused.
+        """
+        settings: dict[str, Any] = {}
+        for layer in layers:
+            chosen = cls._check_alternatives(layer)
+            for pair in cls.alternatives:
+                for name, other in (pair, pair[::-1]):
+                    if name in chosen:
+                        settings.pop(other, None)
+            settings |= layer
+        return settings
+
+    @classmethod
+    def _check_alternatives(cls, layer: Mapping[str, Any]) -> set[str]:
+        """Return the names of options that are on; InputError if two exclude each other."""
+        known = specifications(cls)
+        chosen = {
+            name for name, value in layer.items()
+            if name in known and not is_off(value, known[name].off)
+        }  # fmt: skip
+        for pair, reason in cls.alternatives.items():
+            if chosen.issuperset(pair):
+                first, second = (f"{name}={text_of(layer[name])}" for name in pair)
+                raise InputError(f"{first} and {second} contradict ({reason}): give one of them")
+        return chosen
 
     @classmethod
     def checked(cls, name: str, value: Any) -> Any:
@@ -98,21 +138,31 @@ class Options:
             "additionalProperties": False,
         }
 
-    def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return all values, after filling in those that the caller's options, `given`, imply."""
-        del given
+    def settle(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Return checked values, with those that others imply; InputError if they contradict."""
         return values
 
-    def check_together(self) -> None:
-        """Raise InputError if options contradict one another."""
-
     def as_dict(self) -> dict[str, Any]:
-        """Return all options by their names."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        """Return the effective options by their names, without replaced alternatives."""
+        settings = {each.name: getattr(self, each.name) for each in fields(self)}
+        for name, other in self.replacing:
+            del settings[name if settings[other] is not None else other]
+        return settings
 
     def replace(self, **given: Any) -> Self:
-        """Return a copy with some options replaced; it raises the same errors as the class."""
-        return type(self)(**{**self.as_dict(), **given})
+        """Return a copy of these options with some replaced.
+
+        Parameters
+        ----------
+        **given
+            Options by their names.
+
+        Raises
+        ------
+        InputError
+            The errors of the class.
+        """
+        return type(self)(**self.layered((self.as_dict(), given)))
 
     @classmethod
     def of_call(cls, options: Any, given: Mapping[str, Any], example: str) -> Self:
@@ -137,6 +187,16 @@ class Options:
             for name, value in self.as_dict().items()
         }
         return dict(sorted(found.items()))
+
+
+def is_off(value: Any, off: tuple[Any, ...]) -> bool:
+    """Return whether a value is one of those that turn its option off."""
+    return any(type(value) is type(each) and value == each for each in off)
+
+
+def text_of(value: Any) -> str:
+    """Return the text of an unchecked value for error messages."""
+    return f"{value:g}" if isinstance(value, float) else shown(value)
 
 
 def specifications(options: type[Options]) -> dict[str, Option]:

@@ -12,8 +12,10 @@ import numpy as np
 from clmorph._shared.option_kinds import integer, number
 from clmorph._shared.options import (
     Options,
+    is_off,
     option,
     specifications,
+    text_of,
     with_default,
 )
 from clmorph._shared.validation import as_float, check_choice, check_flag, shown
@@ -26,32 +28,15 @@ from clmorph.pipeline.presets import AUTO, FINE_BLOCKS, PRESETS, drafted
 from clmorph.transport.options import PlanOptions, Reach, SolverOptions
 from clmorph.transport.regularization import regularization
 
-#: Pairs of options that exclude each other; an option that is set later replaces the earlier one.
-ALTERNATIVES = (
-    ("blur", "epsilon"),
-    ("reach", "rho"),
-    ("fps", "duration"),
-    ("sample", "barycentric"),
-    ("log_threshold", "sample"),
-    ("log_threshold", "barycentric"),
-)
-#: The pairs whose first option has a default, which the second option replaces.
-SQUARES_AND_PACE = ALTERNATIVES[:3]
-#: Explanation of each pair for error messages.
-REASONS = dict(
-    zip(
-        ALTERNATIVES,
-        (
-            "epsilon is the square of blur",
-            "rho is the square of reach",
-            "both decide the pace",
-            "random draws and mean destinations exclude one another",
-            "random draws are of the whole plan",
-            "mean destinations are of the whole plan",
-        ),
-        strict=True,
-    )
-)
+#: Pairs of options that exclude each other, and why; one that is set later replaces the other.
+ALTERNATIVES = {
+    ("blur", "epsilon"): "epsilon is the square of blur",
+    ("reach", "rho"): "rho is the square of reach",
+    ("fps", "duration"): "both decide the pace",
+    ("sample", "barycentric"): "random draws and mean destinations exclude one another",
+    ("log_threshold", "sample"): "random draws are of the whole plan",
+    ("log_threshold", "barycentric"): "mean destinations are of the whole plan",
+}
 #: Options of the kernel with which particles draw detail, and their values where they ask nothing.
 OF_PARTICLES = {
     "gamma": None,
@@ -152,6 +137,9 @@ class MorphOptions(
     #: A morph lets mass fade by default, unlike `clmorph.sinkhorn`.
     reach: Reach = with_default(SolverOptions, "reach", 0.3)
 
+    alternatives = ALTERNATIVES
+    replacing = tuple(ALTERNATIVES)[:3]
+
     def __init__(self, *, preset: str | None = None, draft: bool = False, **given: Any) -> None:
         chosen = preset_options(preset)
         if check_flag("draft", draft):
@@ -177,79 +165,48 @@ class MorphOptions(
 
     @classmethod
     def layered(cls, layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-        """Merge several layers of options, by their names in Python, into one; later layers win.
-
-        An option also removes its alternatives (`ALTERNATIVES`) from earlier layers. A layer that
-        contradicts itself is refused.
-        """
-        known = specifications(cls)
+        """Merge layers as `Options.layered` does, and settle who draws the detail."""
         settings: dict[str, Any] = {}
         for layer in layers:
-            chosen = {
-                name for name, value in layer.items()
-                if name in known and not _is_off(value, known[name].off)
-            }  # fmt: skip
-            for pair in ALTERNATIVES:
-                if chosen.issuperset(pair):
-                    first, second = (f"{name}={_text(layer[name])}" for name in pair)
-                    raise InputError(
-                        f"{first} and {second} contradict ({REASONS[pair]}): give one of them"
-                    )
-                for name, other in (pair, pair[::-1]):
-                    if name in chosen:
-                        settings.pop(other, None)
-            settings |= layer
+            settings = super().layered((settings, layer))
             _settle_gamma(settings, layer)
             _settle_detail(settings, layer)
         return settings
 
-    def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-        """Fill in the values that other options determine; see `Options.settle`."""
-        for name, other in SQUARES_AND_PACE:
-            if given.get(other) is not None and name not in given:
-                values[name] = None
-        if values["blur"] is None and values["epsilon"] is None:
-            values["blur"] = type(self).blur
-        if values["fps"] is None and values["duration"] is None:
-            values["fps"] = type(self).fps
-        if _bulges(values["splatting"]) and values["gamma"] is None:
+    def settle(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Fill in and compare values; see `Options.settle`."""
+        for name, other in (("blur", "epsilon"), ("fps", "duration")):
+            if values[name] is None and values[other] is None:
+                values[name] = getattr(type(self), name)
+        if values["splatting"] in BULGING and values["gamma"] is None:
             values["gamma"] = GAMMA
-        return values
-
-    def check_together(self) -> None:
-        """Check rules between options; see `Options.check_together`."""
-        found = regularization(self.blur, self.reach, self.epsilon, self.rho)
-        if self.rho is None:
-            object.__setattr__(self, "reach", found.reach)
+        found = regularization(*(values[name] for name in ("blur", "reach", "epsilon", "rho")))
+        if values["rho"] is None:
+            values["reach"] = found.reach
         # Store plain floats, with the value that was given and not with a recomputed one.
         for name in ("epsilon", "rho"):
-            object.__setattr__(self, name, _plain(getattr(self, name)))
+            values[name] = _plain(values[name])
         given = [
-            f"{name}={_text(getattr(self, name))}"
+            f"{name}={text_of(values[name])}"
             for name, neutral in OF_PARTICLES.items()
-            if getattr(self, name) != neutral
+            if values[name] != neutral
         ]
-        if self.detail != "particles" and given:
+        detail, splatting = values["detail"], values["splatting"]
+        if detail != "particles" and given:
             raise InputError(
-                f"detail={self.detail!r} and {', '.join(given)} contradict: these options are for "
+                f"detail={detail!r} and {', '.join(given)} contradict: these options are for "
                 "detail='particles'; leave one side out"
             )
-        if self.sigma is None:
-            return
-        if self.splatting not in (*BULGING, "local"):
+        if values["sigma"] is None:
+            return values
+        if splatting not in (*BULGING, "local"):
             raise InputError(
-                f"sigma='optimal' and splatting={self.splatting!r} contradict: expected splatting "
+                f"sigma='optimal' and splatting={splatting!r} contradict: expected splatting "
                 "'adaptive' or 'local' with it; widths in pixels are sigma_start and sigma_end"
             )
         if isinstance(found.reach, tuple):
             raise InputError(NO_DIVERGENCE)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the effective options by their names, without replaced alternatives."""
-        settings = super().as_dict()
-        for name, other in SQUARES_AND_PACE:
-            del settings[name if settings[other] is not None else other]
-        return settings
+        return values
 
     def replace(self, **given: Any) -> Self:
         """Return a copy of these options with some replaced.
@@ -269,7 +226,7 @@ class MorphOptions(
                 raise InputError(
                     f"replace() does not accept {name}; construct MorphOptions({name}=...)"
                 )
-        return type(self)(**MorphOptions.layered((self.as_dict(), given)))
+        return super().replace(**given)
 
     def of(self, stage: type[Options]) -> dict[str, Any]:
         """Return the options of one stage, a class that this one joins, by their names."""
@@ -298,17 +255,9 @@ def _plain(value: Any) -> Any:
     return as_float(value)
 
 
-def _text(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else shown(value)
-
-
 def _bulges(splatting: Any) -> bool:
     """Return whether an unchecked value of `splatting` is a rule of widths with gamma."""
     return isinstance(splatting, str) and splatting in BULGING
-
-
-def _is_off(value: Any, off: tuple[Any, ...]) -> bool:
-    return any(type(value) is type(each) and value == each for each in off)
 
 
 def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
@@ -317,7 +266,7 @@ def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
         splatting = layer.get("splatting", "adaptive")
         if not _bulges(splatting):
             raise InputError(
-                f"gamma={_text(layer['gamma'])} belongs to adaptive splatting, not to "
+                f"gamma={text_of(layer['gamma'])} belongs to adaptive splatting, not to "
                 f"{shown(splatting)}: leave one of them out"
             )
         settings["splatting"] = splatting
@@ -331,21 +280,21 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
     def asked(values: Mapping[str, Any]) -> set[str]:
         return {
             name for name, neutral in OF_PARTICLES.items()
-            if name in values and not _is_off(values[name], (neutral,))
+            if name in values and not is_off(values[name], (neutral,))
         }  # fmt: skip
 
     if "detail" not in layer:
         if asked(layer) or "splatting" in layer:
             settings["detail"] = "particles"
-    elif not _is_off(layer["detail"], ("particles",)) and not asked(layer):
+    elif not is_off(layer["detail"], ("particles",)) and not asked(layer):
         if "splatting" not in layer:
             settings |= {name: OF_PARTICLES[name] for name in asked(settings)}
         elif asked(settings):
             # A preset decides the detail unless an option that no preset sets asks for particles.
             settings["detail"] = "particles"
     # Layers of photographs are drawn along means of the plan, but each particle is seen.
-    seen = not _is_off(settings.get("detail", "layers"), ("layers",))
-    usual = _is_off(settings.get("solve_size"), (MorphOptions.solve_size,))
+    seen = not is_off(settings.get("detail", "layers"), ("layers",))
+    usual = is_off(settings.get("solve_size"), (MorphOptions.solve_size,))
     if seen and usual and "solve_size" not in layer:
         settings["solve_size"] = FINE_BLOCKS
 

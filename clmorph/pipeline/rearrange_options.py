@@ -1,12 +1,10 @@
 """All options of `clmorph.rearrange`, which are also those of ``clmorph rearrange``."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar
 
 from clmorph._shared.option_kinds import number
 from clmorph._shared.options import option, specifications, with_default
-from clmorph.errors import InputError
 from clmorph.images.color import ColorSpace
 from clmorph.measures.options import Extent, LiftOptions
 from clmorph.output.options import FPS, FrameStyle, PlaybackOptions
@@ -48,42 +46,14 @@ class RearrangeOptions(FrameStyle, PlaybackOptions):
     )  # fmt: skip
     seed: int = with_default(PlanOptions, "seed", PlanOptions.seed)
 
-    def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-        """Let a duration replace the frame rate; see `Options.settle`."""
-        if given.get("duration") is not None:
-            if given.get("fps") is not None:
-                raise InputError(
-                    "fps and duration contradict (both decide the pace): give one of them"
-                )
-            values["fps"] = None
-        elif values["fps"] is None:
+    alternatives: ClassVar = {("fps", "duration"): "both decide the pace"}
+    replacing = (("fps", "duration"),)
+
+    def settle(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Without a pace, it is the usual one; see `Options.settle`."""
+        if values["fps"] is None and values["duration"] is None:
             values["fps"] = FPS
         return values
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the effective options by their names, without replaced alternatives."""
-        settings = super().as_dict()
-        del settings["fps" if settings["duration"] is not None else "duration"]
-        return settings
-
-    def replace(self, **given: Any) -> Self:
-        """Return a copy of these options with some replaced.
-
-        Parameters
-        ----------
-        **given
-            Options, see `clmorph.rearrange`.
-
-        Raises
-        ------
-        InputError
-            The errors of `RearrangeOptions`.
-        """
-        settings = self.as_dict()
-        for name, other in (("fps", "duration"), ("duration", "fps")):
-            if given.get(name) is not None:
-                settings.pop(other, None)
-        return type(self)(**settings | given)
 
     def of_lift(self) -> dict[str, Any]:
         """Return the options of `clmorph.lift`, by their names."""

@@ -184,7 +184,7 @@ def test_large_images_are_solved_between_blocks(monkeypatch, device):
         ({"gap": np.nan}, "gap"),
         ({"seed": -1}, "seed"),
         ({"blur": 0.1}, "blur"),
-        ({"fps": 3.0, "duration": 2.0}, "fps and duration"),
+        ({"fps": 3.0, "duration": 2.0}, "fps=3 and duration=2"),
         ({"options": clmorph.MorphOptions()}, "RearrangeOptions"),
         ({"image_a": np.zeros((0, 3, 3))}, "image_a"),
         ({"image_b": np.full((2, 2, 3), np.nan)}, "image_b"),
