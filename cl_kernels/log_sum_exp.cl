@@ -5,7 +5,9 @@
 // with e_ij as row_loop.cl has it. The soft minimum T(g) of the paper's section 3.1 is -epsilon / log2(e)
 // times this. The maximum is taken online, along with the sum (Milakov and Gimelshein 2018).
 //
-// Launch: as in row_loop.cl; get_global_id(1) is a share of the column tiles.
+// Launch: as in row_loop.cl; get_global_id(1) is a share of the column tiles. On cards a work-item has a vector
+// of rows, so that each column is read from local memory once for several of them, and STACKS of GROUP
+// work-items with the same rows fill a work-group; their sums are joined.
 //
 // -D BOUNDED 1, 2: powers and sums have a proven error bound: see sums.cl
 
@@ -13,8 +15,8 @@
 #include "sums.cl"
 
 // Online maximum m_i = max_j reference_for(e_ij) and s_i = sum_j 2^(e_ij - m_i), over the column tiles
-// of this share; the host joins the shares.
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+// of this work-group's shares; the host joins those of other work-groups.
+__kernel __attribute__((reqd_work_group_size(GROUP, STACKS, 1)))
 void log_sum_exp(
     CLOUD_ARGUMENTS
     MASK_ARGUMENTS,
@@ -22,8 +24,8 @@ void log_sum_exp(
     const __global uchar* restrict in_float32, // (n_listed,) whether exponents are float32
 #endif
     const uint n_rows,
-    __global float* restrict maxima, // (shares, n_rows)
-    __global float* restrict sums)   // (SUM_PLANES, shares, n_rows)
+    __global float* restrict maxima, // (work-groups along dimension 1, n_rows)
+    __global float* restrict sums)   // (SUM_PLANES, work-groups along dimension 1, n_rows)
 {
     BLOCK_SETUP;
     SHARE_SETUP;
@@ -35,7 +37,12 @@ void log_sum_exp(
         s[block] = NO_SUM;
     }
 #if BOUNDED == 2
-    __local float rounded[STAGED_PLANE];
+#if STACKS == 1
+    __local float rounded[STAGED_PLANE] ALIGNED;
+#else
+    __local float rounded_of[STACKS * (STAGED_PLANE + 4)] ALIGNED;
+    __local float* rounded = rounded_of + get_local_id(1) * (STAGED_PLANE + 4);
+#endif
     vreal u_rounded[BLOCKS][DIM];
     for (int block = 0; block < BLOCKS; ++block)
         for (int d = 0; d < DIM; ++d)
@@ -49,12 +56,16 @@ void log_sum_exp(
             rounded[d * STAGED_ROW + TILE] = d == DIM ? SENTINEL : 0.0f;
 #endif
 #endif
-    for (uint n = n_begin; n < n_end; ++n) {
+    for (uint step = 0; step < per_share; ++step) {
+        const uint n = min(n_begin + step, end_tile - 1u);
         STAGE_TILE(n);
 #if BOUNDED == 2
         if (in_float32[n])
             stage_in_float32(staged, rounded);
+        GROUP_BARRIER();
 #endif
+        if (n_begin + step >= n_end)
+            continue;
         for (int block = 0; block < BLOCKS; ++block) {
             if (IS_EMPTY(n, block))
                 continue;
@@ -71,9 +82,26 @@ void log_sum_exp(
             s[block] = sum_of(s[block], s_tile);
         }
     }
+#if STACKS > 1
+    __local vreal maxima_of[STACKS * GROUP];
+    __local sreal sums_of[STACKS * GROUP];
+    const uint item = get_local_id(0);
+    maxima_of[get_local_id(1) * GROUP + item] = m[0];
+    sums_of[get_local_id(1) * GROUP + item] = s[0];
+    GROUP_BARRIER();
+    if (get_local_id(1) > 0)
+        return;
+    for (uint stack = 1; stack < STACKS; ++stack) {
+        const vreal m_stack = maxima_of[stack * GROUP + item];
+        const vreal m_new = max(m[0], m_stack);
+        s[0] = sum_of(rescaled(s[0], m[0] - m_new),
+                      rescaled(sums_of[stack * GROUP + item], m_stack - m_new));
+        m[0] = m_new;
+    }
+#endif
     for (int block = 0; block < BLOCKS; ++block) {
-        const size_t at = (size_t)share * n_rows + BLOCK_ROW(block);
+        const size_t at = (size_t)get_group_id(1) * n_rows + BLOCK_ROW(block);
         VSTORE(m[block], at, maxima);
-        store_sum(s[block], at, (size_t)shares * n_rows, sums);
+        store_sum(s[block], at, (size_t)get_num_groups(1) * n_rows, sums);
     }
 }

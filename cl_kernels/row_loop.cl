@@ -35,6 +35,8 @@
 // -D DIM     dimension of the points
 // -D TILE    points of one tile, a multiple of WIDTH * GROUP
 // -D GROUP   work-items of a work-group along dimension 0
+// -D STACKS  work-items along dimension 1 of a work-group, in kernels that read SHARE_SETUP: each has a share
+//            of the column tiles, and they meet at the same barriers (speed only). Default 1.
 // -D UNROLL  columns taken together in the inner loop, divides TILE (speed only)
 // -D BLOCKS  groups of WIDTH rows that a work-item takes one after the other with the same staged columns,
 //            in kernels that read BLOCK_SETUP; WIDTH * GROUP * BLOCKS divides TILE (speed only). Default 1.
@@ -64,6 +66,10 @@
 #define BLOCKS 1
 #endif
 
+#ifndef STACKS
+#define STACKS 1
+#endif
+
 #ifndef LISTED
 #define LISTED 0
 #endif
@@ -85,7 +91,7 @@
 #include "exponents.cl"
 
 // A work-group of one needs no barrier, and CPU compilers vectorize better without.
-#if GROUP > 1
+#if GROUP * STACKS > 1
 #define GROUP_BARRIER() barrier(CLK_LOCAL_MEM_FENCE)
 #else
 #define GROUP_BARRIER()
@@ -125,7 +131,8 @@
 #define LEVEL_PLANE n_column_tiles
 #endif
 
-// The column tiles of a work-group's share, n_begin <= n < n_end, where get_global_id(1) is its number.
+// The column tiles of a share, n_begin <= n < n_end, where get_global_id(1) is its number. All work-items of a
+// group take per_share steps, so that they meet at the barriers of the last ones too.
 #define SHARE_SETUP                                                                            \
     const uint share = get_global_id(1);                                                       \
     const uint shares = get_global_size(1);                                                    \
@@ -178,10 +185,22 @@ INLINE void load_rows(
         u[d] = e_load(row_shifts + (size_t)d * row_stride + row, (size_t)DIM * row_stride);
 }
 
+// The staged tile of each stack. What the stacks read at once are different banks of local memory. Cards read
+// 16 bytes at a time.
+#define ALIGNED __attribute__((aligned(16)))
+#if STACKS == 1
+#define STAGED_TILE __local staged_real staged[STAGED_SIZE] ALIGNED
+#else
+#define STAGED_STRIDE (STAGED_SIZE + 16 / (int)sizeof(staged_real))
+#define STAGED_TILE                                                                            \
+    __local staged_real of_stacks[STACKS * STAGED_STRIDE] ALIGNED;                             \
+    __local staged_real* staged = of_stacks + get_local_id(1) * STAGED_STRIDE
+#endif
+
 // What a work-item knows before the loop: its rows and their tile, the launch's column tiles, and u of
 // its rows.
 #define TILE_SETUP(row)                                                                        \
-    __local staged_real staged[STAGED_SIZE];                                                   \
+    STAGED_TILE;                                                                               \
     const uint row_tile = (row) / TILE;                                                        \
     const uint first_tile = min(OWN_FIRST + tiles_before, (uint)(OWN_END));                    \
     const uint end_tile = min(first_tile + most_tiles, (uint)(OWN_END));                       \

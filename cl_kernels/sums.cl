@@ -290,7 +290,6 @@ INLINE void stage_in_float32(
         for (int d = 0; d <= DIM; ++d)
             VSTORE(TO_VREAL(VLOAD(0, staged + d * STAGED_ROW + j)), 0, rounded + d * STAGED_ROW + j);
     }
-    GROUP_BARRIER();
 }
 
 // As add_columns and exponent (exponents.cl), in float32.

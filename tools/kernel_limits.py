@@ -32,6 +32,8 @@ CLANG = [
     "clang-19", "-x", "cl", "-Xclang", "-finclude-default-header", "-include",
     str(Path(__file__).with_name("stand_ins.cl")), "-O3", "-S",
 ]  # fmt: skip
+#: The option by which denormals are flushed, and clang's own for NVIDIA's cards.
+FLUSHED = {"-cl-denorms-are-zero": ("-Xclang", "-fdenormal-fp-math-f32=preserve-sign")}
 #: What ptxas says of each kernel, in its order, and what the metadata of AMD's assembly say.
 PTXAS = re.compile(
     r"entry function '(\w+)'.*?(\d+) bytes stack frame, (\d+) bytes spill stores.*?"
@@ -53,6 +55,8 @@ def measure(target: str, variant: Variant) -> dict[str, Numbers]:
         file = Path(folder) / "kernels.s"
         if target in NVIDIA:
             own = ["-target", "nvptx64-nvidia-cuda", f"-march={target}"]
+            # For these targets clang knows the option by another name.
+            options = [each for option in options for each in FLUSHED.get(option, (option,))]
         else:
             own = ["-target", "amdgcn-amd-amdhsa", "-nogpulib", f"-mcpu={target}"]
         _run([*CLANG, *own, *options, "-o", str(file), str(FOLDER / variant.file)])

@@ -9,7 +9,7 @@
 #define GROUP_ID(dimension) __nvvm_read_ptx_sreg_ctaid_##dimension()
 #define GROUP_COUNT(dimension) __nvvm_read_ptx_sreg_nctaid_##dimension()
 STAND_IN void barrier(cl_mem_fence_flags flags) { __syncthreads(); }
-STAND_IN float exp2(float x) { return __nvvm_ex2_approx_f(x); }
+STAND_IN float exp2(float x) { return __nvvm_ex2_approx_ftz_f(x); }
 STAND_IN float log2(float x) { return __nvvm_lg2_approx_f(x); }
 STAND_IN float sqrt(float x) { return __nvvm_sqrt_rn_f(x); }
 STAND_IN double sqrt(double x) { return __nvvm_sqrt_rn_d(x); }
@@ -45,8 +45,12 @@ OF_DIMENSION(get_global_size, GLOBAL_SIZE)
     STAND_IN type clamp(type x, type low, type high) { return min(max(x, low), high); }
 ORDERED(int)
 ORDERED(uint)
-ORDERED(float)
-ORDERED(double)
+#define ORDERED_REAL(type, suffix) \
+    STAND_IN type min(type a, type b) { return __builtin_fmin##suffix(a, b); } \
+    STAND_IN type max(type a, type b) { return __builtin_fmax##suffix(a, b); } \
+    STAND_IN type clamp(type x, type low, type high) { return min(max(x, low), high); }
+ORDERED_REAL(float, f)
+ORDERED_REAL(double, )
 STAND_IN float2 clamp(float2 x, float low, float high)
 {
     return (float2)(clamp(x.x, low, high), clamp(x.y, low, high));
@@ -68,22 +72,53 @@ STAND_IN float4 mix(float4 a, float4 b, float t) { return a + (b - a) * t; }
 STAND_IN float mix(float a, float b, float t) { return a + (b - a) * t; }
 STAND_IN float select(float a, float b, int c) { return c ? b : a; }
 STAND_IN int select(int a, int b, int c) { return c ? b : a; }
-STAND_IN float4 vload4(size_t place, const __global float* from)
-{
-    from += 4 * place;
-    return (float4)(from[0], from[1], from[2], from[3]);
-}
-#define STORE(space) \
-    STAND_IN void vstore4(float4 value, size_t place, space float* to) \
+
+// The same for vectors of 2 and 4.
+#define OF_PARTS(type, n, name) \
+    STAND_IN type##n name(type##n x) \
     { \
-        to += 4 * place; \
-        to[0] = value.x; \
-        to[1] = value.y; \
-        to[2] = value.z; \
-        to[3] = value.w; \
+        type##n y; \
+        for (int i = 0; i < n; ++i) \
+            y[i] = name(x[i]); \
+        return y; \
     }
-STORE(__global)
-STORE(__private)
+#define LANES(n) \
+    OF_PARTS(float, n, exp2) \
+    OF_PARTS(float, n, ceil) \
+    OF_PARTS(float, n, fabs) \
+    LARGER(float, n) \
+    LARGER(double, n) \
+    MEMORY(float, n, __global) \
+    MEMORY(float, n, __local) \
+    MEMORY(float, n, __private) \
+    MEMORY(double, n, __local) \
+    STAND_IN double##n convert_double##n(float##n x) { return __builtin_convertvector(x, double##n); } \
+    STAND_IN float##n convert_float##n(double##n x) { return __builtin_convertvector(x, float##n); }
+#define LARGER(type, n) \
+    STAND_IN type##n max(type##n a, type##n b) \
+    { \
+        type##n c; \
+        for (int i = 0; i < n; ++i) \
+            c[i] = max(a[i], b[i]); \
+        return c; \
+    }
+#define MEMORY(type, n, space) \
+    STAND_IN type##n vload##n(size_t place, const space type* from) \
+    { \
+        type##n x; \
+        for (int i = 0; i < n; ++i) \
+            x[i] = from[n * place + i]; \
+        return x; \
+    } \
+    STAND_IN void vstore##n(type##n x, size_t place, space type* to) \
+    { \
+        for (int i = 0; i < n; ++i) \
+            to[n * place + i] = x[i]; \
+    }
+LANES(2)
+LANES(4)
+STAND_IN int any(int2 x) { return (x.x | x.y) < 0; }
+STAND_IN int any(int4 x) { return (x.x | x.y | x.z | x.w) < 0; }
 
 STAND_IN double expm1(double x)
 {

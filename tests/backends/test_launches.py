@@ -154,7 +154,8 @@ def test_a_softmin_is_one_launch_and_one_wait(device, rng, bounded):
     assert changed
     assert not [value for value in changed if isinstance(value, np.generic)]
     rows, columns = clouds
-    shares = device.plan_row_reductions._loop.column_shares(rows, columns)
+    stacks = device.constants.stacks(rows.centers.shape[1], bounded)
+    shares = device.plan_row_reductions._loop.column_shares(rows, columns, stacks=stacks)
     assert count.n_bytes("read") == 4 * rows.stride * shares * (3 if bounded else 2)
     planes = 2 if bounded else 1
     levels = len(rows.centers) * len(columns.centers)

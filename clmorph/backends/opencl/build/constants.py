@@ -26,6 +26,10 @@ STORED_UNROLL = 4
 SEED_LEAF, SEED_WAYS = 8, 4
 
 
+#: The largest number of registers for the coordinates of a work-item's rows, where it has several.
+ROW_REGISTERS = 24
+
+
 @dataclass(frozen=True)
 class BuildConstants:
     """Constants that affect speed and rounding only; see the headers of ``cl_kernels/*.cl``."""
@@ -53,6 +57,8 @@ class BuildConstants:
     #: The number of rounds that all loops of a work-item may take together; 0: any number. Only on
     #: some devices it is limited, see the quirk ``short_loops``.
     longest_loop: int = 0
+    #: Rows of a work-item of the log-sum-exp where they are more than `width`: see `stacks`.
+    rows: int = 1
 
     @property
     def group_rows(self) -> int:
@@ -73,6 +79,15 @@ class BuildConstants:
         """
         return self.tile // self.width if self.group == 1 and not self.longest_loop else 1
 
+    def stacks(self, dimension: int, precise: bool) -> int:
+        """Return how many work-items of a group share their rows in the log-sum-exp.
+
+        Each has the `rows` of as many work-items, if registers suffice, and a share of the columns.
+        """
+        registers = self.width * dimension * (2 if precise else 1)
+        most = min(self.group, self.rows // self.width, ROW_REGISTERS // registers)
+        return 1 << max(0, most.bit_length() - 1)
+
     @property
     def slice_rows(self) -> int:
         """C of SELL-C-sigma, rows of a slice: a multiple of `width` that divides `tile`."""
@@ -86,6 +101,7 @@ class BuildConstants:
         bounded: int = 0,
         masked: bool = False,
         in_blocks: bool = False,
+        stacks: int = 1,
     ) -> dict[str, int | float]:
         """Return the macros of ``row_loop.cl`` and ``sums.cl`` for points of some dimension.
 
@@ -93,7 +109,7 @@ class BuildConstants:
         columns that masks choose. `bounded` sums have a proven error bound, which needs precise
         exponents: as exact as the exponents (1), or with powers in float32, and with exponents in
         float32 between chosen pairs of tiles (2). Without float64, 2 is 1. With `in_blocks`
-        work-items take `blocks` groups of rows.
+        work-items take `blocks` groups of rows. With `stacks` they take the rows of as many.
         """
         bounded = min(int(bounded), self.precise)
         unroll = min(self.unroll, PRECISE_UNROLL) if precise else self.unroll
@@ -104,13 +120,14 @@ class BuildConstants:
             **({"MASKED": 1, "MASKED_UNROLL": min(unroll, MASKED_UNROLL)} if masked else {}),
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
-            "GROUP": self.group,
+            "GROUP": self.group // stacks,
             "LISTED": int(listed),
             "PRECISE": self.precise if precise else 0,
             "SENTINEL": SENTINEL,
+            **({"STACKS": stacks} if stacks > 1 else {}),
             "TILE": self.tile,
             "UNROLL": unroll,
-            "WIDTH": self.width,
+            "WIDTH": self.width * stacks,
         }
 
     def sliced_ellpack_macros(self) -> dict[str, int | float]:
@@ -220,7 +237,7 @@ def apply_quirks(constants: BuildConstants, quirks: frozenset[str]) -> BuildCons
     if "inexact_exp2" in quirks:
         made = replace(made, exp2_builtin=0)
     if "no_vectors" in quirks:
-        made = replace(made, width=1, unroll=min(made.unroll, 8))
+        made = replace(made, width=1, rows=1, unroll=min(made.unroll, 8))
     if "no_float64" in quirks:
         made = replace(made, precise=1)
     if "short_loops" in quirks:
@@ -283,4 +300,5 @@ def gpu_constants(largest_group: int) -> BuildConstants:
         chunk=256,
         tile_group=next(side for side in (16, 8, 4, 2, 1) if side**2 <= largest_group),
         slices_per_unit=64,
+        rows=4,
     )

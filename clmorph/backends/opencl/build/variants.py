@@ -28,6 +28,12 @@ class Variant:
         """
         return self.file == "near_field.cl" or (self.file == "log_sum_exp.cl" and self.masked)
 
+    def stacks(self, constants: BuildConstants) -> int:
+        """Return how many work-items of a group share their rows."""
+        if self.file != "log_sum_exp.cl":
+            return 1
+        return constants.stacks(self.dimension, self.precise)
+
     def macros(self, constants: BuildConstants) -> dict[str, int | float]:
         """Return the macros of the program for these build constants."""
         of_files = {
@@ -47,8 +53,9 @@ class Variant:
         if self.file in of_files:
             return of_files[self.file]()
         return constants.row_macros(
-            self.dimension, self.precise, self.listed, self.bounded, self.masked, self.in_blocks
-        )
+            self.dimension, self.precise, self.listed, self.bounded, self.masked, self.in_blocks,
+            self.stacks(constants),
+        )  # fmt: skip
 
     def suits(self, constants: BuildConstants) -> bool:
         """Return whether a device has what the file needs: float64, and long loops to iterate."""

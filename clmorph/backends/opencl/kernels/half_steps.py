@@ -206,9 +206,11 @@ class HalfSteps(ResidentSteps):
                 vectors[GIVEN.index(name), n:] = vectors[GIVEN.index(name), n - 1]
             sides.append(work.buffer(vectors, np.float64))
         longest = max(rows.stride, columns.stride)
+        stacks = loop.constants.stacks(rows.centers.shape[1], precise=False)
         shares = (
-            loop.column_shares(rows, columns, lists[0]), loop.column_shares(columns, rows, lists[1])
-        )  # fmt: skip
+            loop.column_shares(rows, columns, lists[0], stacks),
+            loop.column_shares(columns, rows, lists[1], stacks),
+        )
         n_bytes = {
             "maxima": 4 * max(shares) * longest, "sums": 4 * max(shares) * longest,
             "logits": 8 * longest, "levels": 8 * n_pairs,
@@ -253,15 +255,22 @@ class HalfSteps(ResidentSteps):
         constants, (rows, columns) = self._loop.constants, iteration.sides
         problems = iteration.numbers.size // len(NUMBERS)
         group, whole = (constants.group,), (constants.group * problems,)
+        kernel = self._softmin_kernel(iteration)
         if prepare:
             yield "prepare_rows", whole, group
         for softmin, step, own, shares in (
             ("rows", "row_step", rows, "row_shares"),
             ("columns", "column_step", columns, "column_shares"),
         ):
-            size = own.stride // constants.width, int(iteration.arguments[shares])
-            yield softmin, size, (constants.group, 1)
+            size = self._loop.launch_size(kernel, own.stride, int(iteration.arguments[shares]))
+            yield softmin, *size
             yield step, whole, group
+
+    def _softmin_kernel(self, iteration: DeviceIteration) -> cl.Kernel:
+        listed = isinstance(iteration, BatchIteration)
+        return self._loop.kernel(
+            "log_sum_exp.cl", "log_sum_exp", iteration.sides[0], iteration.precise, listed
+        )
 
     def _kernels(self, iteration: DeviceIteration) -> BoundKernels:
         rows, precise = iteration.sides[0], iteration.precise
@@ -273,8 +282,7 @@ class HalfSteps(ResidentSteps):
             for side in ("rows", "columns"):
                 own = programs.kernels(Variant("log_sum_exp.cl", dimension, precise, listed))
                 kernels[side] = own["log_sum_exp"]
-            kernel = self._loop.kernel("log_sum_exp.cl", "log_sum_exp", rows, precise, listed)
-            budget = self._loop.budget(kernel)
+            budget = self._loop.budget(self._softmin_kernel(iteration))
             self._bound[key] = BoundKernels(kernels, _arguments(listed), budget)
         return self._bound[key]
 

@@ -140,7 +140,8 @@ class LogSumExp:
             exponents = loop.unleveled_exponents(rows, columns, potential, epsilon, precise)
         else:
             exponents = loop.listed_exponents(rows, columns, potential, epsilon, precise)
-        shares = loop.column_shares(rows, columns, pairs)
+        stacks = loop.constants.stacks(rows.centers.shape[1], precise)
+        shares = loop.column_shares(rows, columns, pairs, stacks)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
         for part, chosen in loop.masked_parts(kernel, rows, columns, pairs, shares):
             n_rows = len(part) * tile

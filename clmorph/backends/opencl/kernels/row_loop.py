@@ -46,7 +46,7 @@ class RowLoop:
         self.work, self.constants, self.programs = work, constants, programs
         self._budgets: dict[int, LaunchBudget] = {}
         self._kernels: dict[Variant, dict[str, cl.Kernel]] = {}
-        self._rows_of_item: dict[int, int] = {}
+        self._shapes: dict[int, tuple[int, tuple[int, int]]] = {}  # rows of an item, local size
         self.device_levels = DEVICE_LEVELS
 
     def kernel(
@@ -67,8 +67,10 @@ class RowLoop:
         if variant not in self._kernels:
             self._kernels[variant] = self.programs.kernels(variant)
             blocks = self.constants.blocks if variant.in_blocks else 1
+            stacks = variant.stacks(self.constants)
+            shape = self.constants.group // stacks, stacks
             for built in self._kernels[variant].values():
-                self._rows_of_item[built.int_ptr] = self.constants.width * blocks
+                self._shapes[built.int_ptr] = self.constants.width * stacks * blocks, shape
         return self._kernels[variant][name]
 
     def column_logits(
@@ -176,20 +178,32 @@ class RowLoop:
         levels = np.repeat(exponents.row_level, self.constants.tile)[: len(rows)]
         return levels - exponents.k * rows.own_costs
 
-    def column_shares(self, rows: Cloud, columns: Cloud, pairs: TilePairs | None = None) -> int:
-        """Return the number of work-groups along the columns, more than 1 if rows are few."""
+    def column_shares(
+        self, rows: Cloud, columns: Cloud, pairs: TilePairs | None = None, stacks: int = 1
+    ) -> int:
+        """Return the number of work-groups along the columns, more than 1 if rows are few.
+
+        In each, as many `stacks` of work-items share the columns.
+        """
         least = self._windows(columns, pairs)
         if self.constants.width > 1:
             return least
         groups = max(1, rows.stride // self.constants.group)
         wanted = -(-8 * self.work.device.max_compute_units // groups)
-        return max(least, min(wanted, len(columns.centers), 64))
+        return max(least, min(wanted, -(-len(columns.centers) // stacks), 64))
 
     def _windows(self, columns: Cloud, pairs: TilePairs | None) -> int:
         """Return in how many launches the columns of a row are taken: 1 if loops may be long."""
         most = len(columns.centers) if pairs is None else int(np.diff(pairs.starts).max())
         at_once = loop_limits.column_tiles(self.constants, columns.centers.shape[1])
         return max(1, -(-most // at_once))
+
+    def launch_size(
+        self, kernel: cl.Kernel, n_rows: int, shares: int
+    ) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Return the global and the local size of a launch of a kernel over some rows."""
+        rows_of_item, local = self._shapes[kernel.int_ptr]
+        return (n_rows // rows_of_item, shares * local[1]), local
 
     def budget(self, kernel: cl.Kernel) -> LaunchBudget:
         """Return the budget of launches of this kernel, because kernels differ in time per pair."""
@@ -314,8 +328,7 @@ class RowLoop:
         for window in range(windows):
             with self.budget(kernel).measure(work // windows):
                 self.work.launch(
-                    kernel, (n_rows // self._rows_of_item[kernel.int_ptr], shares or 1),
-                    (self.constants.group, 1),
+                    kernel, *self.launch_size(kernel, n_rows, shares or 1),
                     np.uint32(part.start * self.constants.tile), np.uint32(rows.stride),
                     np.uint32(columns.stride), np.uint32(len(columns.centers)),
                     np.uint32(window * at_once), np.uint32(at_once), *split(np.asarray(k)),
