@@ -8,7 +8,10 @@ most registers of a work-item, bytes of it that are spilled or lie in memory, an
 memory of a work-group, of all variants. The exit code is 1 where a kernel passes its limits, or has
 none. ``--renew`` writes the table: registers in steps of 8, because compilers differ by a few.
 
-ptxas comes with CUDA, and in the wheel nvidia-cuda-nvcc-cu12.
+The table also has the most slots of the innermost loop of the dense log-sum-exp, for a pair of
+points, which bound its speed: instructions on NVIDIA's cards, vector instructions on AMD's.
+
+ptxas and nvdisasm come with CUDA, and in the wheels nvidia-cuda-nvcc-cu12 and nvidia-cuda-nvdisasm.
 """
 
 import re
@@ -44,12 +47,61 @@ METADATA = re.compile(
     r"\.vgpr_count: +(\d+)", re.DOTALL,
 )  # fmt: skip
 
+#: Instructions for powers of two.
+POWERS = "MUFU.EX2", "v_exp_f32"
+#: The variant whose slots are counted.
+DENSE = Variant("log_sum_exp.cl", 5)
 #: Registers, bytes spilled or in memory, and bytes of local memory.
 Numbers = tuple[int, int, int]
 
 
 def measure(target: str, variant: Variant) -> dict[str, Numbers]:
     """Return the numbers of the kernels of a variant, by name."""
+    text, said = _compiled(target, variant)
+    if target in NVIDIA:
+        # Local memory may be missing, so that each kernel's part is searched alone.
+        return {
+            name: (int(registers), int(stack) + int(spilled), int(local or 0))
+            for each in re.split(r"(?=ptxas info +: Compiling entry)", said)
+            for name, stack, spilled, registers, local in PTXAS.findall(each)
+        }
+    return {
+        name: (int(registers), int(private), int(local))
+        for local, name, private, registers in METADATA.findall(text)
+    }
+
+
+def slots(target: str) -> float:
+    """Return the slots of `DENSE` for a pair of points, in its innermost loop."""
+    constants = gpu_constants(64)
+    rows = constants.width * DENSE.stacks(constants)
+    loop = innermost(_compiled(target, DENSE, disassembled=True)[0])
+    powers = sum(power in line for line in loop for power in POWERS)
+    # Beside a power for each pair there is one for each row, by which its sum is rescaled.
+    rounds, rest = divmod(powers, rows * (constants.unroll + 1))
+    assert (rounds > 0, rest) == (True, 0), f"{target}: {powers} powers in the innermost loop"
+    counted = loop if target in NVIDIA else [line for line in loop if line.startswith("v_")]
+    return len(counted) / (rounds * rows * constants.unroll)
+
+
+def innermost(text: str) -> list[str]:
+    """Return the instructions of the shortest loop that has powers of two."""
+    lines: list[str] = []
+    labels: dict[str, int] = {}
+    loops: list[list[str]] = []
+    for line in text.splitlines():
+        if label := re.match(r"\s*(\.L\w+):", line):
+            labels[label[1]] = len(lines)
+        elif found := re.match(r"\s+/\*[0-9a-f]{4,}\*/\s+(.*?);|\t([a-z]\w*_.*)", line):
+            lines.append(found[1] or found[2])
+            branch = re.match(r"(?:@\S+ )?(?:BRA|s_c?branch).*?(\.L\w+)", lines[-1])
+            if branch and branch[1] in labels:
+                loops.append(lines[labels[branch[1]] :])
+    return min((loop for loop in loops if any(p in line for line in loop for p in POWERS)), key=len)
+
+
+def _compiled(target: str, variant: Variant, disassembled: bool = False) -> tuple[str, str]:
+    """Return the assembly of a variant, or the machine's code as text, and what ptxas says."""
     options = build_options(variant.macros(gpu_constants(64)))
     with TemporaryDirectory() as folder:
         file = Path(folder) / "kernels.s"
@@ -62,16 +114,8 @@ def measure(target: str, variant: Variant) -> dict[str, Numbers]:
         _run([*CLANG, *own, *options, "-o", str(file), str(FOLDER / variant.file)])
         if target in NVIDIA:
             said = _run(["ptxas", "-v", f"-arch={target}", "-o", f"{file}.bin", str(file)])
-            # Local memory may be missing, so that each kernel's part is searched alone.
-            return {
-                name: (int(registers), int(stack) + int(spilled), int(local or 0))
-                for each in re.split(r"(?=ptxas info +: Compiling entry)", said)
-                for name, stack, spilled, registers, local in PTXAS.findall(each)
-            }
-        return {
-            name: (int(registers), int(private), int(local))
-            for local, name, private, registers in METADATA.findall(file.read_text())
-        }
+            return (_run(["nvdisasm", "-c", f"{file}.bin"]) if disassembled else ""), said
+        return file.read_text(), ""
 
 
 def _run(command: list[str]) -> str:
@@ -117,15 +161,23 @@ def complaints(
 
 def main() -> int:
     found = measure_all(all_variants())
+    of_loop = {target: slots(target) for target in TARGETS}
     if "--renew" in sys.argv[1:]:
-        lines = []
+        lines = ["[slots]", *(f"{target} = {n:.2f}" for target, n in of_loop.items())]
         for target, kernels in found.items():
             lines.append(f"\n[{target}]")
             for name, (registers, spilled, local) in sorted(kernels.items()):
                 lines.append(f'"{name}" = [{-(-registers // 8) * 8}, {spilled}, {local}]')
         TABLE.write_text("\n".join(lines).lstrip() + "\n")
         return 0
-    said = complaints(found, tomllib.loads(TABLE.read_text()))
+    limits = tomllib.loads(TABLE.read_text())
+    most = limits.pop("slots")
+    said = complaints(found, limits)
+    said += [
+        f"{target}: {DENSE} takes {n:.2f} slots a pair; the limit is {most[target]}"
+        for target, n in of_loop.items()
+        if n > most[target] + 0.05
+    ]
     print("\n".join(said) or f"{sum(map(len, found.values()))} kernels are within their limits")
     if said:
         print("limits that must change are renewed by: python tools/kernel_limits.py --renew")

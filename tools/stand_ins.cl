@@ -74,7 +74,7 @@ STAND_IN float select(float a, float b, int c) { return c ? b : a; }
 STAND_IN int select(int a, int b, int c) { return c ? b : a; }
 
 // The same for vectors of 2 and 4.
-#define OF_PARTS(type, n, name) \
+#define EACH_LANE(type, n, name) \
     STAND_IN type##n name(type##n x) \
     { \
         type##n y; \
@@ -82,19 +82,19 @@ STAND_IN int select(int a, int b, int c) { return c ? b : a; }
             y[i] = name(x[i]); \
         return y; \
     }
-#define LANES(n) \
-    OF_PARTS(float, n, exp2) \
-    OF_PARTS(float, n, ceil) \
-    OF_PARTS(float, n, fabs) \
-    LARGER(float, n) \
-    LARGER(double, n) \
-    MEMORY(float, n, __global) \
-    MEMORY(float, n, __local) \
-    MEMORY(float, n, __private) \
-    MEMORY(double, n, __local) \
+#define VECTORS_OF(n) \
+    EACH_LANE(float, n, exp2) \
+    EACH_LANE(float, n, ceil) \
+    EACH_LANE(float, n, fabs) \
+    LARGEST_OF(float, n) \
+    LARGEST_OF(double, n) \
+    LOADS_AND_STORES(float, n, __global) \
+    LOADS_AND_STORES(float, n, __local) \
+    LOADS_AND_STORES(float, n, __private) \
+    LOADS_AND_STORES(double, n, __local) \
     STAND_IN double##n convert_double##n(float##n x) { return __builtin_convertvector(x, double##n); } \
     STAND_IN float##n convert_float##n(double##n x) { return __builtin_convertvector(x, float##n); }
-#define LARGER(type, n) \
+#define LARGEST_OF(type, n) \
     STAND_IN type##n max(type##n a, type##n b) \
     { \
         type##n c; \
@@ -102,7 +102,7 @@ STAND_IN int select(int a, int b, int c) { return c ? b : a; }
             c[i] = max(a[i], b[i]); \
         return c; \
     }
-#define MEMORY(type, n, space) \
+#define LOADS_AND_STORES(type, n, space) \
     STAND_IN type##n vload##n(size_t place, const space type* from) \
     { \
         type##n x; \
@@ -115,8 +115,8 @@ STAND_IN int select(int a, int b, int c) { return c ? b : a; }
         for (int i = 0; i < n; ++i) \
             to[n * place + i] = x[i]; \
     }
-LANES(2)
-LANES(4)
+VECTORS_OF(2)
+VECTORS_OF(4)
 STAND_IN int any(int2 x) { return (x.x | x.y) < 0; }
 STAND_IN int any(int4 x) { return (x.x | x.y | x.z | x.w) < 0; }
 

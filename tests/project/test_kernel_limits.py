@@ -9,6 +9,7 @@ from programs import program
 from clmorph.backends.opencl.build.variants import KERNELS, Variant
 
 LIMITS = tomllib.loads(kernel_limits.TABLE.read_text(encoding="utf-8"))
+SLOTS = LIMITS.pop("slots")
 
 
 def test_the_table_has_every_kernel():
@@ -29,6 +30,20 @@ def test_compiled_kernels_are_within_it(target, monkeypatch):
     assert (registers > 8, spilled) == (True, 0)
     named = {target: {f"{variant.file}:{name}": numbers for name, numbers in found.items()}}
     assert kernel_limits.complaints(named, LIMITS) == []
+
+
+def test_limits_of_slots_are_those_promised():
+    """On an H100 and an MI200, for a pair of points in five dimensions."""
+    assert SLOTS["sm_90"] <= 11.5
+    assert SLOTS["gfx90a"] <= 10
+
+
+def test_slots_are_those_of_the_innermost_loop():
+    around = ["\ts_nop 0", ".LBB0_1:", "\tv_exp_f32_e32 v0, v1"]
+    inside = [".LBB0_2:", "\tv_add_f32_e32 v0, v1", "\tv_exp_f32_e32 v0, v1"]
+    ends = ["\ts_cbranch_scc1 .LBB0_2", "\ts_cbranch_scc0 .LBB0_1", "\ts_endpgm"]
+    loop = kernel_limits.innermost("\n".join([*around, *inside, *ends]))
+    assert loop == [line.strip() for line in (*inside[1:], ends[0])]
 
 
 @pytest.mark.parametrize("place", range(3))

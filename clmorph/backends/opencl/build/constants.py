@@ -300,5 +300,5 @@ def gpu_constants(largest_group: int) -> BuildConstants:
         chunk=256,
         tile_group=next(side for side in (16, 8, 4, 2, 1) if side**2 <= largest_group),
         slices_per_unit=64,
-        rows=4,
+        rows=4 if largest_group >= 4 else 1,
     )

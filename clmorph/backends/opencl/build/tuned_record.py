@@ -16,6 +16,7 @@ CANDIDATES: dict[str, tuple[int, ...]] = {
     "group": (1, 16, 32, 64, 128, 256),
     "tile": (32, 64, 128),  # larger tiles have larger rounding errors, see ``sums.cl``
     "unroll": (4, 8, 16, 32),
+    "rows": (1, 2, 4, 8),
 }
 
 
@@ -26,7 +27,13 @@ def is_possible(constants: BuildConstants, largest_group: int) -> bool:
         and constants.tile in CANDIDATES["tile"]
         and constants.tile % (constants.width * constants.group) == 0
         and constants.tile % constants.unroll == 0
+        and has_possible_rows(constants)
     )
+
+
+def has_possible_rows(constants: BuildConstants) -> bool:
+    """Return whether rows are the least, or more than a vector and no more than a group has."""
+    return constants.rows == 1 or constants.width < constants.rows <= constants.group_rows
 
 
 def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) -> None:
