@@ -206,9 +206,6 @@ void column_step(
         DSTORE(DLOAD(i, ROW(ROW_F)) + (vdouble)(shift), i, ROW(ROW_SHIFTED));
 
     vdouble mass = (vdouble)(0.0), square = (vdouble)(0.0);
-    vdouble of_difference[MEMORY], of_residual[MEMORY];
-    for (uint j = 0; j < MEMORY; ++j)
-        of_difference[j] = of_residual[j] = (vdouble)(0.0);
     for (uint i = FIRST; i < own_m; i += STEP) {
         const vdouble softmin = DLOAD(i, COLUMN(COLUMN_SOFTMIN)) - (vdouble)(shift);
         const vdouble image = (vdouble)(damping) * softmin;
@@ -217,7 +214,7 @@ void column_step(
         DSTORE(softmin, i, COLUMN(COLUMN_SOFTMIN));
         DSTORE(own, i, COLUMN(COLUMN_MARGINAL));
         mass += own;
-        square += remember(columns, m, control, i, image, own, of_difference, of_residual);
+        square += remember(columns, m, control, i, image, own);
     }
     const double plan_mass = group_sum(sum_of_lanes(mass), shared);
     const double dual = -epsilon * plan_mass
@@ -225,17 +222,28 @@ void column_step(
         + dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_IMAGE_0 + PARITY), own_m, inverse_rho_target, shared);
 
     const double longest = RADIUS * sqrt(group_sum(sum_of_lanes(square), shared));
-    double row[MEMORY], right[MEMORY], coefficients[MEMORY];
-    for (uint j = 0; j < MEMORY; ++j) {
-        row[j] = group_sum(sum_of_lanes(of_difference[j]), shared);
-        right[j] = group_sum(sum_of_lanes(of_residual[j]), shared);
+    for (uint first = 0; first < COUNT; first += BLOCK) {
+        vdouble of_difference[BLOCK], of_residual[BLOCK];
+        for (uint k = 0; k < BLOCK; ++k)
+            of_difference[k] = of_residual[k] = (vdouble)(0.0);
+        for (uint i = FIRST; i < own_m; i += STEP)
+            add_products(columns, m, control, first, i, of_difference, of_residual);
+#pragma unroll
+        for (uint k = 0; k < BLOCK; ++k) {
+            const double newest = group_sum(sum_of_lanes(of_difference[k]), shared);
+            const double right = group_sum(sum_of_lanes(of_residual[k]), shared);
+            if (get_local_id(0) == 0) {
+                SYSTEM(IN_BLOCK(first, k), NEWEST) = newest;
+                SYSTEM(IN_BLOCK(first, k), RIGHT) = right;
+            }
+        }
     }
-    const bool found = solve_normal(products, row, right, PLACE, COUNT, system, coefficients);
+    const bool found = solve_normal(products, PLACE, COUNT, system);
     for (uint j = get_local_id(0); j < COUNT; j += GROUP)
-        store_products(products, row[j], j, PLACE);
+        store_products(products, SYSTEM(j, NEWEST), j, PLACE);
     vdouble length = (vdouble)(0.0), along = (vdouble)(0.0);
     for (uint i = FIRST; i < own_m; i += STEP) {
-        const vdouble step = step_from_image(columns, m, control, i, coefficients);
+        const vdouble step = step_from_image(columns, m, control, i, system);
         DSTORE(step, i, COLUMN(COLUMN_STEP));
         length += step * DLOAD(i, COLUMN(COLUMN_MASS)) * step;
         along += step * DLOAD(i, COLUMN(COLUMN_MARGINAL));

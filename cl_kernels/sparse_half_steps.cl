@@ -335,9 +335,6 @@ void column_step(
     // <a, exp(-f / rho)> is the mass of the plan after the half-step of f.
     const double shift = translation(numbers[NUMBER_LOG_MASS], after, rates);
     vdouble mass = (vdouble)(0.0), square = mass, along = mass, other_along = mass;
-    vdouble of_difference[MEMORY], of_residual[MEMORY];
-    for (uint j = 0; j < MEMORY; ++j)
-        of_difference[j] = of_residual[j] = (vdouble)(0.0);
     for (uint i = OWN_FIRST(n); i < OWN_END(n); i += STEP) {
         const vdouble f = DLOAD(i, ROW(ROW_F)) + (vdouble)(shift);
         DSTORE(f, i, ROW(ROW_SHIFTED));
@@ -352,15 +349,23 @@ void column_step(
         DSTORE(own, i, COLUMN(COLUMN_MARGINAL));
         mass += own;
         other_along += weights * image;
-        square += remember(columns, m, control, i, image, own, of_difference, of_residual);
+        square += remember(columns, m, control, i, image, own);
     }
     leave(sum_of_lanes(mass), false, LEFT(1, 0), shared);
     leave(sum_of_lanes(square), false, LEFT(1, 1), shared);
     leave(sum_of_lanes(along), false, LEFT(1, 2), shared);
     leave(sum_of_lanes(other_along), false, LEFT(1, 3), shared);
-    for (uint j = 0; j < MEMORY; ++j) {
-        leave(sum_of_lanes(of_difference[j]), false, LEFT(1, 4 + j), shared);
-        leave(sum_of_lanes(of_residual[j]), false, LEFT(1, 4 + MEMORY + j), shared);
+    for (uint first = 0; first < COUNT; first += BLOCK) {
+        vdouble of_difference[BLOCK], of_residual[BLOCK];
+        for (uint k = 0; k < BLOCK; ++k)
+            of_difference[k] = of_residual[k] = (vdouble)(0.0);
+        for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP)
+            add_products(columns, m, control, first, i, of_difference, of_residual);
+#pragma unroll
+        for (uint k = 0; k < BLOCK; ++k) {
+            leave(sum_of_lanes(of_difference[k]), false, LEFT(1, 4 + IN_BLOCK(first, k)), shared);
+            leave(sum_of_lanes(of_residual[k]), false, LEFT(1, 4 + MEMORY + IN_BLOCK(first, k)), shared);
+        }
     }
     if (get_global_id(0) == 0) {
         numbers[NUMBER_PLAN_MASS] = mass_of(rates > 0.0 ? after + shift * rate : log(target_mass));
@@ -390,15 +395,18 @@ void extrapolate(
     const double square = joined(LEFT(1, 1), groups, false, shared);
     const double along = joined(LEFT(1, 2), groups, false, shared);
     const double other_along = joined(LEFT(1, 3), groups, false, shared);
-    double row[MEMORY], right[MEMORY], coefficients[MEMORY];
-    for (uint j = 0; j < MEMORY; ++j) {
-        row[j] = joined(LEFT(1, 4 + j), groups, false, shared);
-        right[j] = joined(LEFT(1, 4 + MEMORY + j), groups, false, shared);
+    for (uint j = 0; j < COUNT; ++j) {
+        const double newest = joined(LEFT(1, 4 + j), groups, false, shared);
+        const double right = joined(LEFT(1, 4 + MEMORY + j), groups, false, shared);
+        if (get_local_id(0) == 0) {
+            SYSTEM(j, NEWEST) = newest;
+            SYSTEM(j, RIGHT) = right;
+        }
     }
-    const bool found = solve_normal(products, row, right, PLACE, COUNT, system, coefficients);
+    const bool found = solve_normal(products, PLACE, COUNT, system);
     vdouble length = (vdouble)(0.0), drift = (vdouble)(0.0);
     for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
-        const vdouble step = step_from_image(columns, m, control, i, coefficients);
+        const vdouble step = step_from_image(columns, m, control, i, system);
         DSTORE(step, i, COLUMN(COLUMN_STEP));
         length += step * DLOAD(i, COLUMN(COLUMN_MASS)) * step;
         drift += step * DLOAD(i, COLUMN(COLUMN_MARGINAL));
@@ -413,7 +421,7 @@ void extrapolate(
         numbers[NUMBER_RESIDUAL_NORM] = sqrt(square);
         numbers[NUMBER_MARGINALS] = marginals;
         for (uint j = 0; j < COUNT; ++j)
-            newest[j] = row[j];
+            newest[j] = SYSTEM(j, NEWEST);
     }
 }
 

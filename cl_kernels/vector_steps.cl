@@ -184,12 +184,11 @@ INLINE vdouble distance_of(const vdouble weights, const vdouble potential, const
     return weights > (vdouble)(0.0) ? fabs(potential - half_step) : (vdouble)(0.0);
 }
 
-// Store an iterate, whose image is T's, and the difference from the last one; `mass` is its marginal. Adds
-// the inner products of the residual, and of its new difference, with all differences. Returns the terms of
-// the residual's square.
+// Store an iterate, whose image is T's, and the difference from the last one; `mass` is its marginal. Returns
+// the terms of the residual's square.
 INLINE vdouble remember(
     __global double* columns, const uint m, const uint control, const uint i, const vdouble image,
-    const vdouble mass, vdouble* of_difference, vdouble* of_residual)
+    const vdouble mass)
 {
     const vdouble residual = image - DLOAD(i, COLUMN(G_AT));
     vdouble weights = mass, change = (vdouble)(0.0), ahead = (vdouble)(0.0);
@@ -203,22 +202,44 @@ INLINE vdouble remember(
     DSTORE(weights, i, COLUMN(COLUMN_MASS));
     DSTORE(change, i, DIFFERENCES(PLACE));
     DSTORE(ahead, i, AHEAD(PLACE));
-    for (uint j = 0; j < COUNT; ++j) {
-        const vdouble weighted = DLOAD(i, DIFFERENCES(j)) * weights;
-        of_difference[j] += weighted * change;
-        of_residual[j] += weighted * residual;
-    }
     return residual * weights * residual;
 }
+
+// Add the inner products of BLOCK differences, from `first` on, with the new one and with the residual: few at
+// once, so that their sums stay in registers. Those after the last are the last one's.
+#define BLOCK 4
+#define IN_BLOCK(first, k) min((first) + (k), COUNT - 1)
+
+INLINE void add_products(
+    const __global double* columns, const uint m, const uint control, const uint first, const uint i,
+    vdouble* of_difference, vdouble* of_residual)
+{
+    const vdouble weights = DLOAD(i, COLUMN(COLUMN_MASS)), change = DLOAD(i, DIFFERENCES(PLACE));
+    const vdouble residual = DLOAD(i, COLUMN(COLUMN_RESIDUAL_0 + PARITY));
+    for (uint k = 0; k < BLOCK; ++k) {
+        const vdouble weighted = DLOAD(i, DIFFERENCES(IN_BLOCK(first, k))) * weights;
+        of_difference[k] += weighted * change;
+        of_residual[k] += weighted * residual;
+    }
+}
+
+// The normal equations in `system`: difference i has a row, with its row of the matrix first, and then its inner
+// products with the residual and with the new difference, its length, and its coefficient.
+#define SYSTEM_ROW (2 * MEMORY) // a power of two
+#define RIGHT MEMORY
+#define NEWEST (MEMORY + 1)
+#define SCALE (MEMORY + 2)
+#define COEFFICIENT (MEMORY + 3)
+#define SYSTEM(i, column) system[(i) * SYSTEM_ROW + (column)]
 
 // The step from the image that the coefficients give, before it is limited.
 INLINE vdouble step_from_image(
     const __global double* columns, const uint m, const uint control, const uint i,
-    const double* coefficients)
+    const SHARED double* system)
 {
     vdouble step = (vdouble)(MIXED) * DLOAD(i, COLUMN(COLUMN_RESIDUAL_0 + PARITY));
     for (uint j = 0; j < COUNT; ++j)
-        step -= (vdouble)(coefficients[j]) * DLOAD(i, AHEAD(j));
+        step -= (vdouble)(SYSTEM(j, COEFFICIENT)) * DLOAD(i, AHEAD(j));
     return step;
 }
 
@@ -228,48 +249,44 @@ INLINE double limit(const double length, const double longest)
     return fmin(1.0, longest / fmax(length, DBL_MIN));
 }
 
-#define SYSTEM_ROW (2 * MEMORY) // a power of two
-
-// Solve the normal equations of the stored differences: coefficients of the residual, and whether they are
-// determined. The difference at `place` is new; the first `count` are stored.
+// Solve the normal equations, whose columns RIGHT and NEWEST are given, for the coefficients, and return whether
+// they are determined. The difference at `place` is new; the first `count` are stored.
 LONG_FUNCTION bool solve_normal(
     const __global double* products, // (MEMORY, MEMORY): inner products of the older differences
-    const double* row,              // (MEMORY,): those of the new one
-    const double* right,            // (MEMORY,): inner products with the residual
-    const uint place, const uint count, SHARED double* system, double* coefficients)
+    const uint place, const uint count, SHARED double* system)
 {
+    STEP_BARRIER();
     bool determined = count > 0;
-    double scale[MEMORY];
-    for (uint i = 0; i < count; ++i) {
-        const double square = i == place ? row[place] : products[i * MEMORY + i];
-        determined = determined && square > 0.0;
-        scale[i] = square > 0.0 ? sqrt(square) : 1.0;
+    for (uint i = 0; i < count; ++i)
+        determined = determined && (i == place ? SYSTEM(i, NEWEST) : products[i * MEMORY + i]) > 0.0;
+    for (uint i = get_local_id(0); i < count; i += GROUP) {
+        const double square = i == place ? SYSTEM(i, NEWEST) : products[i * MEMORY + i];
+        SYSTEM(i, SCALE) = square > 0.0 ? sqrt(square) : 1.0;
+        SYSTEM(i, RIGHT) /= SYSTEM(i, SCALE);
     }
-    // Entries (i, j) of the system stand at SYSTEM_ROW i + j, the right-hand side in column MEMORY.
+    STEP_BARRIER();
     for (uint entry = get_local_id(0); entry < count * SYSTEM_ROW; entry += GROUP) {
         const uint i = entry / SYSTEM_ROW, j = entry % SYSTEM_ROW;
         if (j < count) {
-            const double product = i == place ? row[j] : j == place ? row[i] : products[i * MEMORY + j];
-            system[entry] = i == j ? 1.0 + 1e-12 * (double)RIDGE_PPT : product / (scale[i] * scale[j]);
+            const double product = i == place ? SYSTEM(j, NEWEST)
+                : j == place ? SYSTEM(i, NEWEST) : products[i * MEMORY + j];
+            system[entry] = i == j ? 1.0 + 1e-12 * (double)RIDGE_PPT
+                : product / (SYSTEM(i, SCALE) * SYSTEM(j, SCALE));
         }
     }
-    for (uint i = get_local_id(0); i < count; i += GROUP)
-        system[i * SYSTEM_ROW + MEMORY] = right[i] / scale[i];
     // The matrix is positive definite, so that elimination needs no exchange of rows.
     for (uint p = 0; p < count; ++p) {
         STEP_BARRIER();
-        const SHARED double* pivot = system + p * SYSTEM_ROW;
         for (uint entry = get_local_id(0); entry < count * SYSTEM_ROW; entry += GROUP) {
             const uint i = entry / SYSTEM_ROW, j = entry % SYSTEM_ROW;
-            if (i != p && ((p < j && j < count) || j == MEMORY))
-                system[entry] -= system[i * SYSTEM_ROW + p] / pivot[p] * pivot[j];
+            if (i != p && ((p < j && j < count) || j == RIGHT))
+                system[entry] -= SYSTEM(i, p) / SYSTEM(p, p) * SYSTEM(p, j);
         }
     }
     STEP_BARRIER();
-    for (uint i = 0; i < MEMORY; ++i)
-        coefficients[i] = 0.0;
-    for (uint i = 0; i < count; ++i)
-        coefficients[i] = system[i * SYSTEM_ROW + MEMORY] / system[i * SYSTEM_ROW + i] / scale[i];
+    for (uint i = get_local_id(0); i < count; i += GROUP)
+        SYSTEM(i, COEFFICIENT) = SYSTEM(i, RIGHT) / SYSTEM(i, i) / SYSTEM(i, SCALE);
+    STEP_BARRIER();
     return determined;
 }
 
