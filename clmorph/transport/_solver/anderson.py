@@ -48,23 +48,16 @@ class Anderson:
     """Anderson acceleration, of one problem or of many, whose truth values are arrays, (B,)."""
 
     def __init__(self, of: Reductions = WHOLE) -> None:
-        self._of = of
-        self._region = TrustRegion(of.shape)
-        self._begin()
-
-    def _begin(self) -> None:
-        #: Whether the last iterate is stored.
-        self._begun: Any = np.zeros(self._of.shape, bool)
-        self._weights: Array | None = None
-        self._image: Array | None = None
-        self._residual: Array | None = None
+        self._of, self._region = of, TrustRegion(of.shape)
+        #: Whether the last iterate is stored, and the differences stored since a problem began.
+        self._begun, self._next = np.zeros(of.shape, bool), np.zeros(of.shape, int)
+        #: The last image and residual, and the weights of the inner product.
+        self._last: tuple[Array, Array, Array] | None = None
         # Differences between successive iterates: those of the images plus the mixed share of the
         # residuals, those of the residuals, and the inner products of the latter. The oldest ones
-        # are overwritten. A problem has not stored all of them since it began anew.
-        self._ahead = self._residuals = np.zeros((0, 0))
-        self._next = 0
-        self._products = np.zeros((*self._of.shape, MEMORY, MEMORY))
-        self._stored = np.zeros((*self._of.shape, MEMORY), bool)
+        # are overwritten.
+        self._ahead = self._residuals = np.zeros((MEMORY, 0))
+        self._products = np.zeros((*of.shape, MEMORY, MEMORY))
 
     def accepted(self, which: Any = True) -> None:
         """Enlarge the trust region if it limited the last extrapolation, which was good."""
@@ -73,27 +66,24 @@ class Anderson:
     def rejected(self, which: Any = True) -> None:
         """Shrink the trust region after a bad extrapolation, and forget all iterates."""
         self._region.rejected(which)
-        if np.all(which):
-            self._begin()
-            return
-        self._begun = self._begun & ~which
-        self._stored[which] = False
+        self._begun = self._begun & np.logical_not(which)
+        self._next = np.where(which, 0, self._next)
+        self._products = np.where(np.asarray(which)[..., None, None], 0.0, self._products)
 
     def take(self, problems: IntArray, points: Any, of: Reductions) -> None:
         """Go on with some of the problems, which have these points and reductions."""
         self._of = of
         self._region.take(problems)
-        self._begun, self._stored = self._begun[problems], self._stored[problems]
+        self._begun, self._next = self._begun[problems], self._next[problems]
         self._products = self._products[problems]
-        count = min(self._next, MEMORY)
-        before = self._ahead, self._residuals
-        if count:
-            self._ahead, self._residuals = (np.empty((MEMORY, len(points))) for _ in range(2))
-            for kept, each in zip((self._ahead, self._residuals), before, strict=True):
-                kept[:count] = each[:count, points]
-        if self._image is not None and self._residual is not None and self._weights is not None:
-            self._image, self._residual = self._image[points], self._residual[points]
-            self._weights = self._weights[points]
+        if self._last is not None:
+            image, residual, weights = self._last
+            self._last = image[points], residual[points], weights[points]
+        if self._ahead.size:
+            # `take` keeps vectors contiguous, on which the rounding of sums depends.
+            self._ahead, self._residuals = (
+                each.take(points, axis=1) for each in (self._ahead, self._residuals)
+            )
 
     def extrapolate(
         self, x: Array, image: Array, weights: Array, which: Any = True
@@ -107,14 +97,11 @@ class Anderson:
         of, residual = self._of, image - x
         begun, which = self._begun, np.broadcast_to(which, of.shape)
         self._begun = which
-        if self._image is None or self._residual is None or self._weights is None:
-            self._image, self._residual, self._weights = image, residual, weights
-            return image, np.zeros(of.shape, bool)
-        if not np.all(begun):
-            self._weights = np.where(of.spread(begun), self._weights, weights)
-        weights = self._weights
-        self._remember(image - self._image, residual - self._residual, weights, begun & which)
-        self._image, self._residual = image, residual
+        if self._last is not None and np.any(begun):
+            last_image, last_residual, first = self._last
+            weights = first if np.all(begun) else np.where(of.spread(begun), first, weights)
+            self._remember(image - last_image, residual - last_residual, weights, begun & which)
+        self._last = image, residual, weights
         coefficients, found = self._coefficients(residual, weights)
         found = found & which
         if not np.any(found):
@@ -129,28 +116,48 @@ class Anderson:
 
     def _coefficients(self, residual: Array, weights: Array) -> tuple[Array, Any]:
         """Return the coefficients of the stored differences, and whether they are determined."""
-        count = min(self._next, MEMORY)
-        right = self._of.inner_each(self._residuals[:count], weights * residual)
-        stored = self._stored[..., :count]
-        products = self._products[..., :count, :count]
-        squares = np.diagonal(products, axis1=-2, axis2=-1)
+        count, stored = self._stored()
+        if not count:
+            return np.zeros((*self._of.shape, 0)), np.zeros(self._of.shape, bool)
+        right = np.zeros(stored.shape)
+        right[..., :count] = self._of.inner_each(self._residuals[:count], weights * residual)
+        squares = np.diagonal(self._products, axis1=-2, axis2=-1)
         positive = stored & (squares > 0)
         found = (positive == stored).all(axis=-1) & stored.any(axis=-1)
         scale = np.sqrt(np.where(positive, squares, 1.0))
-        normal = products / (scale[..., :, None] * scale[..., None, :])
-        # Products with what is not stored are 0, so such coefficients are 0.
-        normal += (1 + RIDGE - normal) * np.eye(count)
+        normal = self._products / (scale[..., :, None] * scale[..., None, :])
+        # Products with what is not stored are 0, so such coefficients are 0. The system has one
+        # size, because LAPACK's rounding depends on it, and problems together are as alone.
+        normal += (1 + RIDGE - normal) * np.eye(MEMORY)
         right = stored * right / scale
-        return np.linalg.solve(normal, right[..., None])[..., 0] / scale, found
+        return (np.linalg.solve(normal, right[..., None])[..., 0] / scale)[..., :count], found
 
-    def _remember(self, of_image: Array, of_residual: Array, weights: Array, stored: Any) -> None:
-        place, self._next = self._next % MEMORY, self._next + 1
-        if place == 0 and not self._residuals.size:
-            self._ahead, self._residuals = (np.empty((MEMORY, len(of_image))) for _ in range(2))
-        self._ahead[place] = of_image + (MIXING - 1) * of_residual
-        self._residuals[place] = of_residual
-        self._stored[..., place] = stored
-        count = min(self._next, MEMORY)
-        row = self._of.inner_each(self._residuals[:count], of_residual * weights)
-        row *= self._stored[..., :count] & np.asarray(stored)[..., None]
-        self._products[..., place, :count] = self._products[..., :count, place] = row
+    def _remember(self, of_image: Array, of_residual: Array, weights: Array, new: Any) -> None:
+        of, place = self._of, self._next % MEMORY
+        self._next = self._next + new
+        if not self._ahead.size:
+            self._ahead, self._residuals = (np.zeros((MEMORY, len(of_image))) for _ in range(2))
+        at: Any = int(place) if not of.shape else self._places(place, new)
+        for kept, each in (
+            (self._ahead, of_image + (MIXING - 1) * of_residual), (self._residuals, of_residual),
+        ):  # fmt: skip
+            kept[at] = each[at[1]] if of.shape else each
+        count, stored = self._stored()
+        row = np.zeros(stored.shape)
+        row[..., :count] = of.inner_each(self._residuals[:count], of_residual * weights)
+        row, here = (
+            row * stored,
+            (np.arange(MEMORY) == place[..., None]) & np.asarray(new)[..., None],
+        )
+        self._products = np.where(here[..., None], row[..., None, :], self._products)
+        self._products = np.where(here[..., None, :], row[..., None], self._products)
+
+    def _places(self, place: Any, new: Any) -> tuple[IntArray, IntArray]:
+        """Return where many problems store a vector: rows, and the points of those that do."""
+        points = np.flatnonzero(self._of.spread(new))
+        return self._of.spread(place)[points], points
+
+    def _stored(self) -> tuple[int, Any]:
+        """Return the largest number of differences of a problem, and which ones each has."""
+        count = np.minimum(self._next, MEMORY)
+        return int(count.max(initial=0)), np.arange(MEMORY) < count[..., None]

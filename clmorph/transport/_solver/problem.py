@@ -274,7 +274,7 @@ class Problem:
         `enough` is the rounding that each penalty may have, in units of epsilon times the
         plan's mass. If it is not 0, f and g must be those of a `HalfStep`: then <a, exp(-f
         / rho)> is the mass of the plan, and needs no exponential where rho is small enough
-        for that rounding, in all problems.
+        for that rounding.
         """
         value = -epsilon * plan_mass
         for of, potential, weights, inverse, mass in (
@@ -283,14 +283,17 @@ class Problem:
         ):
             if not inverse:
                 value = value + of.inner(weights, potential)
-            elif np.any(enough) and np.all(
-                has_closed_form(mass, plan_mass, inverse, epsilon, enough)
-            ):
-                value = value + (mass - plan_mass) / inverse
             else:
-                # rho (1 - exp(-f / rho)), without the cancellation at large rho
-                scaled = np.minimum(-potential * inverse, MAX_EXPONENT)
-                value = value - of.inner(weights, np.expm1(scaled)) / inverse
+                closed: Any = False
+                if np.any(enough):
+                    closed = has_closed_form(mass, plan_mass, inverse, epsilon, enough)
+                part = (mass - plan_mass) / inverse
+                if not np.all(closed):
+                    # rho (1 - exp(-f / rho)), without the cancellation at large rho
+                    scaled = np.minimum(-potential * inverse, MAX_EXPONENT)
+                    summed = -of.inner(weights, np.expm1(scaled)) / inverse
+                    part = of.choose(closed, part, summed)
+                value = value + part
         return value
 
     def certificate(

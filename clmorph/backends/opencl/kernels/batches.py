@@ -20,7 +20,7 @@ from clmorph.backends.opencl.kernels.rounding_bounds import (
     rounding_bound,
 )
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
-from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
 from clmorph.backends.opencl.kernels.tiles import tile_order
 from clmorph.backends.records import Float64
 
@@ -215,9 +215,7 @@ def pairs_of(rows: Batch, columns: Batch) -> TilePairs:
     per_row = np.repeat(columns.tiles, rows.tiles)
     tiles = runs(np.repeat(columns.first_tiles, rows.tiles), per_row)
     row_of = np.repeat(np.arange(len(per_row)), per_row)
-    distances = np.zeros(len(tiles))
-    for row_side, column_side in zip(rows.cloud.centers.T, columns.cloud.centers.T, strict=True):
-        distances += 0.5 * (row_side[row_of] - column_side[tiles]) ** 2
+    distances = center_costs(rows.cloud.centers[row_of], columns.cloud.centers[tiles])
     pairs = TilePairs(np.append(0, np.cumsum(per_row)), tiles.astype(np.uint32), distances)
     # Another cloud can have the address of one that is gone, hence the reference.
     rows.paired[id(columns.cloud)] = weakref.ref(columns.cloud), pairs

@@ -28,7 +28,7 @@ from clmorph.backends.opencl.kernels.resident_iteration import (
     Slots,
 )
 from clmorph.backends.opencl.kernels.row_loop import KEPT_LEVELS, LOG2_E, RowLoop
-from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
 from clmorph.backends.records import Float64
 
 #: The largest number of pairs of points on the host's processor, where a softmin of so many takes
@@ -103,8 +103,7 @@ class HalfSteps(ResidentSteps):
         tiles = len(rows.centers), len(columns.centers)
         if tiles[0] * tiles[1] > KEPT_LEVELS or not self._fits(rows.stride * columns.stride):
             return None
-        differences = rows.centers[:, None] - columns.centers
-        costs = 0.5 * np.einsum("pqd,pqd->pq", differences, differences)
+        costs = center_costs(rows.centers[:, None], columns.centers)
         masses = weights[0][rows.order], weights[1][columns.order]
         table = np.zeros((1, len(PROBLEM)), np.uint32)
         table[:, [PROBLEM.index("N"), PROBLEM.index("M")]] = rows.stride, columns.stride
@@ -157,16 +156,11 @@ class HalfSteps(ResidentSteps):
                 there = np.repeat(left, side.tiles)
                 per_tile = np.where(there, np.repeat(others.tiles, side.tiles), 0)
                 kept = np.repeat(there, np.diff(listed.starts))
-                own_tiles = np.repeat(np.arange(len(there)), per_tile)
-                differences = side.cloud.centers[own_tiles]
-                differences = differences - others.cloud.centers[listed.tiles[kept]]
                 buffer = self._work.buffer
                 made.arguments |= {
                     f"{own}_starts": buffer(np.append(0, np.cumsum(per_tile)), np.uint32),
                     f"{own}_listed": buffer(listed.tiles[kept], np.uint32),
-                    f"{own}_costs": buffer(
-                        0.5 * np.einsum("qd,qd->q", differences, differences), np.float64
-                    ),
+                    f"{own}_costs": buffer(listed.distances[kept], np.float64),
                 }
             made.version += 1
 

@@ -13,7 +13,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Results, Workspace
-from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
 from clmorph.backends.records import Float64
 
 #: The factor that converts natural logarithms to base 2.
@@ -340,8 +340,4 @@ class RowLoop:
 
 def _levels(row_centers: Float64, column_centers: Float64, tile_max: Float64, k: float) -> Float64:
     """Return the log2-kernel of tile centers plus the columns' largest logits: (rows, columns)."""
-    result = np.empty((len(row_centers), len(column_centers)))
-    result[:] = tile_max
-    for d in range(row_centers.shape[1]):
-        result -= 0.5 * k * (row_centers[:, d, None] - column_centers[:, d]) ** 2
-    return result
+    return tile_max - k * center_costs(row_centers[:, None], column_centers)

@@ -69,6 +69,14 @@ class TilePairs(NamedTuple):
         return starts - starts[0], tiles, tile_max[tiles] - k * self.distances[section]
 
 
+def center_costs(rows: Float64, columns: Float64) -> Float64:
+    """Return |p - q|^2 / 2 of centers (..., D), in the same bits whichever pairs are listed."""
+    costs = np.zeros(np.broadcast_shapes(rows.shape, columns.shape)[:-1])
+    for d in range(rows.shape[-1]):
+        costs += 0.5 * (rows[..., d] - columns[..., d]) ** 2
+    return costs
+
+
 class TileBounds(NamedTuple):
     """The terms of B from one side, for every tile: see the docstring of the module."""
 
