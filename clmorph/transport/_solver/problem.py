@@ -277,6 +277,7 @@ class Problem:
         for that rounding.
         """
         value = -epsilon * plan_mass
+        of: Any
         for of, potential, weights, inverse, mass in (
             (self.of_rows, f, self.a, self.inverse_rho[0], self.masses[0]),
             (self.of_columns, g, self.b, self.inverse_rho[1], self.masses[1]),
@@ -284,7 +285,7 @@ class Problem:
             if not inverse:
                 value = value + of.inner(weights, potential)
             else:
-                closed: Any = False
+                closed: Any = np.False_
                 if np.any(enough):
                     closed = has_closed_form(mass, plan_mass, inverse, epsilon, enough)
                 part = (mass - plan_mass) / inverse

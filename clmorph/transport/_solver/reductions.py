@@ -92,7 +92,7 @@ class Segments:
         self.shape: tuple[int, ...] = (len(counts),)
         ends = np.cumsum(counts)
         self.starts = ends - counts
-        #: The number of points of every problem, if it is the same for all, and more than 1; else 0.
+        #: The number of points of every problem, if it is the same for all and not 1; else 0.
         self._each = int(counts[0]) if len(counts) and np.all(counts == max(counts[0], 2)) else 0
 
     def filled(self, value: Any) -> AnyArray:
@@ -166,7 +166,7 @@ class Segments:
         return Segments(self.counts[problems])
 
     def _parts(self, x: AnyArray) -> list[AnyArray]:
-        """Return a copy of the part (..., n) of each problem: sums then have the bits of `Whole`."""
+        """Return copies of the parts (..., n), whose sums then have the bits of `Whole`."""
         ends = self.starts + self.counts
         return [
             x[..., a:b].copy() for a, b in zip(self.starts.tolist(), ends.tolist(), strict=True)
