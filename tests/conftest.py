@@ -285,7 +285,10 @@ def _share(items: list[pytest.Item]) -> list[pytest.Item]:
     devices, *axes = _axes(callspecs)
     longest = max(axes, key=max, default=[0] * len(items))
     shorter = [axis for axis in axes if axis is not longest]
-    everywhere = not _is_in_turns(items[0])
+    everywhere = not _is_in_turns(items[0]) and (
+        items[0].get_closest_marker("small") is not None
+        or "variant" in getattr(callspecs[0], "params", {})
+    )
     n_devices, turn = max(devices) + 1, crc32(items[0].nodeid.partition("[")[0].encode())
     chosen = []
     for number, item in enumerate(items):

@@ -228,6 +228,7 @@ def test_a_table_in_another_folder(pictures, tmp_path):
     assert job.options["landmarks"] == (((1.0, 2.0), (3.0, 4.0)),)
 
 
+@pytest.mark.full
 def test_an_index_of_earlier_runs_too_and_a_journal_edited_by_hand(client, pictures, tmp_path):
     out = tmp_path / "out"
     call = ["-o", str(out), "--backend", "numpy", "--scheduler", client.scheduler.address]
@@ -603,6 +604,7 @@ def test_drivers_of_one_processor_are_one_device(monkeypatch):
     assert devices_of("auto", 2) == ["auto", "auto"]
 
 
+@pytest.mark.full
 def test_the_index_in_a_browser(tmp_path):
     """A click on a heading sorts by numbers, and by falling ones at the second click."""
     path = program("chromium")

@@ -610,7 +610,13 @@ def test_mistakes_of_inspect_are_those_of_morph(pictures, capfd):
         assert words in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["morph", "rearrange", "mix", "inspect"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "morph",
+        *(pytest.param(it, marks=pytest.mark.full) for it in ("rearrange", "mix", "inspect")),
+    ],
+)
 def test_pictures_of_which_little_is_left_are_noted(tmp_path, monkeypatch, capfd, command):
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)

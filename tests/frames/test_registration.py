@@ -54,7 +54,7 @@ class TestFlow:
         images = [gaussian_filter(edge, 2) + 1e-4 * rng.normal(size=(96, 96)) for _ in range(2)]
         assert np.abs(_flow(images, FINE.radius, LONGEST, SOFTENING)).max() < 0.1
 
-    @pytest.mark.parametrize("side", [48, 64, 96])
+    @pytest.mark.parametrize("side", [48, 64, pytest.param(96, marks=pytest.mark.full)])
     def test_unlike_pictures_do_not_agree_by_chance(self, device, side):
         for names in (("portrait", "cat"), ("portrait", "photographer"), ("rocket", "coffee")):
             ends = [photo(name, side) for name in names]

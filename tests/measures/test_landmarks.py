@@ -159,7 +159,7 @@ def strayed(frame, parts):
     return np.array(found).T
 
 
-def test_a_portrait_keeps_eyes_and_mouth_at_every_time(any_backend):
+def test_a_portrait_keeps_eyes_and_mouth_at_every_time(device):
     """With eight landmarks, as layers and where particles draw it."""
     a, ours, places = portrait(
         (20, 22), 19, (0.3, -0.15), (0.28, 0.5),
@@ -169,7 +169,7 @@ def test_a_portrait_keeps_eyes_and_mouth_at_every_time(any_backend):
         (27, 27), 16, (0.3, -0.05), (0.36, 0.45),
         ((150, 110, 85), (25, 20, 20), (200, 190, 150)), tilt=0.18,
     )  # fmt: skip
-    options = {"n_frames": 2, "solve_size": 24, "tol": 1e-2, "sample": 4, "backend": any_backend}
+    options = {"n_frames": 2, "solve_size": 24, "tol": 1e-2, "sample": 4, "backend": device}
     landmarks = list(zip(ours, theirs, strict=True))
     worst = {}
     for name, given in (("with", landmarks), ("without", None)):

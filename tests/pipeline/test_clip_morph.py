@@ -53,7 +53,13 @@ def test_frames_before_and_after_are_the_clips_own(device):
     assert np.abs(film[17] - two[9] / 255).mean() < 0.04
 
 
-@pytest.mark.parametrize("kinds", ["clip clip", "still clip", "clip still"])
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        "clip clip",
+        *(pytest.param(it, marks=pytest.mark.full) for it in ("still clip", "clip still")),
+    ],
+)
 def test_nothing_jumps_where_a_pair_is_solved(device, kinds):
     """Changes at key pairs are at most 1.3 times those elsewhere, also at both ends."""
     count, step = 24, 6
@@ -204,6 +210,7 @@ def test_films_and_their_sounds(device, films, capfd):
     assert loudness(sound, 440, 1.45, 1.5) < 0.03
 
 
+@pytest.mark.full
 def test_a_film_is_made_again_from_its_recipe(device, films):
     """Also through pipes, and of a clip from standard input."""
     index = next(each.index for each in find_devices() if each.handle == device.device)
@@ -221,6 +228,7 @@ def test_a_film_is_made_again_from_its_recipe(device, films):
     assert probed("c.mp4") == probed("a.mp4")
 
 
+@pytest.mark.full
 def test_unusual_clips(films):
     """Odd sides, ten bits, and a rate that varies: the film is as long as the clip."""
     ffmpeg = program("ffmpeg")

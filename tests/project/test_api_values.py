@@ -19,6 +19,8 @@ from clmorph.backends.interface import MAX_DIMENSION
 from clmorph.pipeline.optimal_width import optimal_curve
 
 FUNCTIONS = public_functions()
+#: Those that take longest; the others show by default how values are checked.
+SLOW = {"quality.film_measures", "inspect", "Inspection.save", "mix", "barycenter"}
 
 
 @pytest.fixture(autouse=True)
@@ -45,7 +47,10 @@ def test_no_function_and_no_argument_is_forgotten():
 
 
 @pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
-@pytest.mark.parametrize("name", list(FUNCTIONS))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(it, marks=[pytest.mark.full] if it in SLOW else []) for it in FUNCTIONS],
+)
 def test_every_value_of_every_argument(name):
     check(name, api_values._call(FUNCTIONS[name], cases()[name], {}))
     messages = [check(description, call) for description, call in single(name, every=16)]

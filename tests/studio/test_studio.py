@@ -10,6 +10,7 @@ import sys
 import time
 import zlib
 
+import pytest
 from browsers import browser
 from studio_pages import (
     fetched,
@@ -110,6 +111,7 @@ def test_mistakes_are_the_lines_of_the_terminal(opened, pictures, place):
     assert page.evaluate("studio.state.shown") == number
 
 
+@pytest.mark.full
 def test_tabs_keep_apart_and_a_phone_has_room(opened, pictures):
     one = opened()
     two = opened(
