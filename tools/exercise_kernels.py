@@ -38,9 +38,9 @@ from clmorph.transport._solver.steps import Steps, new_steps
 #: All kinds of devices, with float64 and without, and with loops of any length or short ones.
 BUILDS = {
     "scalar-16": replace(gpu_constants(16), longest_loop=7000),
-    "scalar-64-pairs": replace(gpu_constants(64), precise=1),
+    "scalar-64-pairs": replace(gpu_constants(64), precise=1, float64=0),
     "lanes": lanes_constants(64),
-    "vector-16-pairs": replace(cpu_constants(16), precise=1),
+    "vector-16-pairs": replace(cpu_constants(16), precise=1, float64=0),
 }
 
 

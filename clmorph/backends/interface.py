@@ -68,7 +68,8 @@ class Operations(Protocol):
     sum_roundoff: float
     exponent_roundoff: float
     precise_roundoff: float
-    #: Whether precise exponents are float64 (or better) and not pairs of float32.
+    #: Whether the device computes in float64. Precise exponents are pairs of float32 where it does
+    #: not, or more slowly.
     has_float64: bool
     #: Largest cost of a pair of points, in units of epsilon, at which softmins keep their bounds.
     max_spread: float

@@ -3,26 +3,37 @@
 from dataclasses import replace
 
 import numpy as np
+import pyopencl as cl
 import pytest
 
 import clmorph
 from clmorph import ConvergenceWarning, DeviceError, lift, sinkhorn
+from clmorph.backends.opencl import probe
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import apply_quirks, choose_constants
+from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.devices.quirks import find_quirks
+from clmorph.backends.opencl.devices.verdicts import (
+    SLOW_FLOAT64,
+    forget_verdict,
+    save_verdict,
+    verdict_key,
+)
 from clmorph.backends.verification.clouds import log_sum_exp_tolerance
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()
 
 
-@pytest.fixture(params=["float64", "pairs of float32"])
+@pytest.fixture(params=["float64", "pairs of float32", "slow float64"])
 def precise_device(request, device):
-    """Each device with float64, and without."""
+    """Each device with float64, without, and with float64 for little but iterations."""
     constants = choose_constants(device.device)
     if request.param == "float64":
         return OpenCLOperations(device.device, constants, verify=False)
+    quirk = "no_float64" if request.param == "pairs of float32" else "slow_float64"
     return OpenCLOperations(
-        device.device, apply_quirks(constants, frozenset({"no_float64"})), verify=False
+        device.device, apply_quirks(constants, frozenset({quirk})), verify=False
     )
 
 
@@ -134,6 +145,56 @@ def test_no_float64_is_a_build_option(device):
     assert replace(constants, precise=2).row_macros(5, True)["PRECISE"] == 2
     assert constants.row_macros(5, False)["PRECISE"] == 0
     assert not OpenCLOperations(device.device, constants).has_float64
+
+
+class Card:
+    """A device of another type."""
+
+    def __init__(self, device):
+        self._device, self.type = device, cl.device_type.GPU
+
+    def __getattr__(self, name):
+        return getattr(self._device, name)
+
+
+@pytest.mark.parametrize("factor", [1 / 32, 1.0, 1.1, 2.0])
+def test_float64_is_for_cards_on_which_it_is_fast(device, monkeypatch, factor):
+    """By rates of sums with precise exponents; those of the pairs are `factor` times as high."""
+    monkeypatch.delenv("CLMORPH_QUIRKS", raising=False)
+    rated = []
+
+    def rate(_, constants):
+        rated.append(constants.precise)
+        return 1e9 if constants.precise == 2 else factor * 1e9
+
+    monkeypatch.setattr(probe, "precise_rate", rate)
+    wanted = choose_constants(device.device)
+    monkeypatch.setattr(probe, "choose_constants", lambda _: replace(wanted, precise=2))
+    made = probe._with_faster_exponents(Card(device.device))
+    assert made == replace(wanted, precise=1 if factor > 1.2 else 2)
+    assert sorted(rated) == [1, 2]
+    assert probe._with_faster_exponents(device.device).precise == 2
+    assert len(rated) == 2
+
+
+def test_rates_with_precise_exponents_are_measured(device):
+    assert 1e3 < probe.precise_rate(device.device, device.constants) < 1e13
+
+
+def test_slow_float64_is_remembered(device, monkeypatch, tmp_path):
+    """With the verdict, which a forgotten one takes along; iterations remain the device's."""
+    monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
+    if not device.has_float64:
+        pytest.skip("it has no float64")
+    key = verdict_key(device.device)
+    usable = {"usable": True, "reason": "", "pairs_per_second": 1e9, SLOW_FLOAT64: True}
+    save_verdict(key, usable)
+    assert "slow_float64" in find_quirks(device.device)
+    constants = choose_constants(device.device)
+    assert (constants.precise, constants.float64) == (1, 1)
+    assert Variant("half_steps.cl").suits(constants) == (not constants.longest_loop)
+    forget_verdict(key)
+    assert choose_constants(device.device).precise == 2
 
 
 def test_precise_plan_rows(precise_device):

@@ -22,7 +22,7 @@ class Fault(NamedTuple):
 
 
 FAULTS = [
-    Fault("log_sum_exp.cl", "log_sum_exp", "n < n_end;", "n + 1 < n_end;", "softmin"),
+    Fault("log_sum_exp.cl", "log_sum_exp", "step < per_share;", "step + 1 < per_share;", "softmin"),
     Fault("tile_levels.cl", "tile_levels", "fmax(level - largest", "fmax(level - 0.9 * largest",
           "softmin"),
     Fault("near_field.cl", "bound_tiles", "+ own[3 * DIM];", "+ own[3 * DIM] - 99.0f;",

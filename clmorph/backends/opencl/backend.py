@@ -64,7 +64,7 @@ class OpenCLOperations:
         self.bin_size = self.constants.bin
         self.sum_roundoff = self.exponent_roundoff = 2.0**-24
         self.precise_roundoff = 2.0**-46  # inputs are pairs of float32
-        self.has_float64 = self.constants.precise == 2
+        self.has_float64 = bool(self.constants.float64)
         self.max_spread = MAX_DEVICE_SPREAD[self.constants.precise]
         self.memory_bytes: int | None = int(device.global_mem_size)
         self.shares_host_memory = shares_host_memory(device)

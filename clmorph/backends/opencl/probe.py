@@ -10,12 +10,13 @@ import json
 import os
 import sys
 import threading
+from dataclasses import replace
 from typing import Any
 
 import pyopencl as cl
 
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.build.constants import choose_constants
+from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
 from clmorph.backends.opencl.build.programs import program_key, read_request
 from clmorph.backends.opencl.build.variants import Variant, further_variants, usual_variants
 from clmorph.backends.opencl.devices.find import raw_devices
@@ -28,12 +29,14 @@ from clmorph.backends.opencl.devices.trial import (
     VERDICT,
     WITHOUT,
 )
-from clmorph.backends.opencl.devices.verdicts import condemns
+from clmorph.backends.opencl.devices.verdicts import SLOW_FLOAT64, condemns
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import ClmorphError
 
 #: The number of points of the timed log-sum-exp, small enough for any device.
 TIMED_POINTS = 2048
+#: By which factor pairs of float32 must be faster than float64 to replace it: not by noise.
+FASTER = 1.2
 #: Error codes of a driver whose resources are in use by this process or another one.
 PASSING = (
     cl.status_code.DEVICE_NOT_AVAILABLE,
@@ -56,13 +59,13 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
         request = None
     try:
         if request == FURTHER:
-            constants, variants = choose_constants(device), list(further_variants())
+            constants, variants = _with_faster_exponents(device), list(further_variants())
             variants = [variant for variant in variants if variant.suits(constants)]
         elif request is not None:
             constants, variants = read_request(request)
         else:
             # A tuned build is no reason to refuse the device; it is verified when it is used.
-            constants = choose_constants(device)
+            constants = _with_faster_exponents(device)
             variants = [each for each in variants if each.suits(constants)]
             variants = [each for each in variants if each.file not in skipped]
         operations = OpenCLOperations(device, constants, verify=False, profiled=True)
@@ -85,7 +88,29 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
             speed = throughput(operations, TIMED_POINTS)
     except Exception as error:  # a driver's errors come in any class; the reason is shown
         return _failure(_words(error), lasting=not _is_passing(error, device))
-    return {"usable": True, "reason": "", "pairs_per_second": speed, "lasting": True}
+    verdict = {"usable": True, "reason": "", "pairs_per_second": speed, "lasting": True}
+    if request is None and constants.precise < choose_constants(device).precise:
+        verdict[SLOW_FLOAT64] = True
+    return verdict
+
+
+def _with_faster_exponents(device: cl.Device) -> BuildConstants:
+    """Return constants for a device, with float64 for precise exponents only where it is faster.
+
+    On many graphics cards its rate is 1/64 of float32's. Processors need no measurement.
+    """
+    constants = choose_constants(device)
+    if constants.precise == 2 and not device.type & cl.device_type.CPU:
+        pairs = replace(constants, precise=1)
+        if precise_rate(device, pairs) > FASTER * precise_rate(device, constants):
+            return pairs
+    return constants
+
+
+def precise_rate(device: cl.Device, constants: BuildConstants) -> float:
+    """Return point pairs per second in sums with precise exponents."""
+    operations = OpenCLOperations(device, constants, verify=False, profiled=True)
+    return throughput(operations, TIMED_POINTS, precise=True)
 
 
 def _check(operations: OpenCLOperations, variant: Variant) -> tuple[str, bool]:

@@ -59,6 +59,8 @@ class BuildConstants:
     longest_loop: int = 0
     #: Rows of a work-item of the log-sum-exp where they are more than `width`: see `stacks`.
     rows: int = 1
+    #: 1: the device computes in float64, of which iterations and grids need little; 0: it does not.
+    float64: int = 1
 
     @property
     def group_rows(self) -> int:
@@ -239,6 +241,8 @@ def apply_quirks(constants: BuildConstants, quirks: frozenset[str]) -> BuildCons
     if "no_vectors" in quirks:
         made = replace(made, width=1, rows=1, unroll=min(made.unroll, 8))
     if "no_float64" in quirks:
+        made = replace(made, precise=1, float64=0)
+    if "slow_float64" in quirks:
         made = replace(made, precise=1)
     if "short_loops" in quirks:
         made = replace(made, longest_loop=made.longest_loop or LONGEST_LOOP)

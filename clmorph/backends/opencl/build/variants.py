@@ -60,10 +60,10 @@ class Variant:
     def suits(self, constants: BuildConstants) -> bool:
         """Return whether a device has what the file needs: float64, and long loops to iterate."""
         if self.file == "tile_levels.cl":
-            return constants.precise == 2
+            return bool(constants.float64)
         if self.file == "grid_log_sum_exp.cl":
-            return not self.precise or constants.precise == 2
-        return not self.is_optional or (constants.precise == 2 and not constants.longest_loop)
+            return bool(not self.precise or constants.float64)
+        return not self.is_optional or bool(constants.float64 and not constants.longest_loop)
 
     @property
     def is_optional(self) -> bool:

@@ -8,6 +8,7 @@ import os
 
 import pyopencl as cl
 
+from clmorph.backends.opencl.devices.verdicts import SLOW_FLOAT64, load_verdict, verdict_key
 from clmorph.errors import InputError
 
 #: The number of rounds after which llvmpipe, Mesa's driver of CPUs, ends the loops of a work-item.
@@ -21,6 +22,7 @@ QUIRKS = {
     "small_local_memory": "under 8 KiB of local memory: tiles of 16 points",
     "short_loops": f"loops end after {LONGEST_LOOP} rounds in all, in silence: shorter launches",
     "no_vectors": "the compiler of PoCL 3.0 from pip crashes or hangs on vectors: scalars",
+    "slow_float64": "measured to be slower in double precision than in sums of two float32: these",
     "no_float64": "no double precision: precise exponents are sums of two float32",
 }
 
@@ -47,6 +49,8 @@ def find_quirks(device: cl.Device) -> frozenset[str]:
         found |= {"small_local_memory"}
     if not has_float64(device):
         found |= {"no_float64"}
+    elif (load_verdict(verdict_key(device)) or {}).get(SLOW_FLOAT64) is True:
+        found |= {"slow_float64"}
     return found
 
 

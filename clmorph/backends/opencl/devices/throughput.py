@@ -20,17 +20,18 @@ SHORTEST_RUN = 2e-3
 LEAST_SHARE = 1e-4
 
 
-def throughput(operations: Operations, points: int = 4096) -> float:
+def throughput(operations: Operations, points: int = 4096, precise: bool = False) -> float:
     """Return the highest rate of a few runs of the log-sum-exp, in point pairs per second.
 
     It is that of the device's own clock, if the operations are profiled. On a very slow device,
-    such as a simulator, there are fewer points, and on a fast one more.
+    such as a simulator, there are fewer points, and on a fast one more. With `precise` it is the
+    rate of sums with precise exponents.
     """
-    rate = short = _rate(operations, min(points, FEW_POINTS), 0.0)
+    rate = short = _rate(operations, min(points, FEW_POINTS), 0.0, precise)
     if points * points > LONGEST_RUN * short:
         return short
     while points <= MOST_POINTS:
-        rate = _rate(operations, points, THROUGHPUT_SECONDS)
+        rate = _rate(operations, points, THROUGHPUT_SECONDS, precise)
         if points * points >= SHORTEST_RUN * rate:
             break
         points *= 2
@@ -50,14 +51,14 @@ def seconds_of(operations: Any, run: Callable[[], object]) -> float:
     return in_kernels if in_kernels > LEAST_SHARE * elapsed else elapsed
 
 
-def _rate(operations: Operations, points: int, seconds: float) -> float:
+def _rate(operations: Operations, points: int, seconds: float, precise: bool = False) -> float:
     """Return the highest rate of at least one run, within some seconds."""
     rng = np.random.default_rng(0)
     cloud = operations.upload(rng.random((points, 5)), np.full(points, 1 / points))
     potential = np.zeros(points)
 
     def run() -> None:
-        operations.softmin(cloud, cloud, potential, 0.01)
+        operations.softmin(cloud, cloud, potential, 0.01, precise)
 
     run()  # some drivers compile a kernel when it is first launched
     best, start = np.inf, time.perf_counter()

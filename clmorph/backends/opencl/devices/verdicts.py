@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 WRONG = "wrong result of "
 #: Files of iterations: where the driver refuses or crashes on one, the host iterates instead.
 OPTIONAL = ("half_steps.cl", "sparse_half_steps.cl")
+#: The entry of a verdict on a device that is slower in float64 than in pairs of float32.
+SLOW_FLOAT64 = "slow_float64"
 #: What the reason of a verdict begins with if the driver ended the process of the check.
 CRASHED = "its driver crashed"
 #: The folders of verdicts on devices and on programs in the cache, with one file for each verdict.

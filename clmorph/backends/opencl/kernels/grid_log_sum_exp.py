@@ -39,7 +39,7 @@ class GridLogSumExp:
 
         A device without float64 leaves precise sums to NumPy.
         """
-        if precise and self._constants.precise != 2:
+        if precise and not self._constants.float64:
             return on_host(exponents, axes)
         if precise not in self._kernels:
             variant = Variant("grid_log_sum_exp.cl", precise=precise)
