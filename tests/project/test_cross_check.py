@@ -404,3 +404,10 @@ def test_what_is_told_is_true(any_backend, share, capsys, monkeypatch):
     numbers = range(20 * share, 20 * share + 20)
     cross_check.run([any_backend], SEED, numbers, findings, 1 << 16, PATIENCE)
     assert findings.end() == 0, capsys.readouterr().out
+
+
+def test_what_is_told_of_grids_is_true(any_backend, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["cross_check.py"])
+    findings = Findings(["--seed", str(SEED)])
+    cross_check.run([any_backend], SEED, range(15), findings, patience=PATIENCE, grids=True)
+    assert findings.end() == 0, capsys.readouterr().out

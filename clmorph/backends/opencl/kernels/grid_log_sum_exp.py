@@ -1,9 +1,11 @@
 """Sums over grids, one axis after the other: ``cl_kernels/grid_log_sum_exp.cl``."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 from clmorph.backends.numpy.grids import grid_log_sum_exp as on_host
 from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
@@ -80,26 +82,9 @@ class GridLogSumExp:
         constants, budget = self._constants, self._budgets[precise]
         real = np.float64 if precise else np.float32
         lanes = constants.lanes if precise else constants.width
-        n, m = len(x), len(y)
-        if y[-1] < y[0]:
-            x, y = -x, -y
-        middle = 0.5 * (min(x.min(), y[0]) + max(x.max(), y[-1]))
-        x, y = (LOG2_E**0.5 * (each - middle) for each in (x, y))
-        blocks = -(-n // lanes)
-        x = np.concatenate((x, np.full(blocks * lanes - n, x[-1])))
-        # The column that is nearest to the middle of each block.
-        middles = 0.5 * (x[::lanes] + x[lanes - 1 :: lanes])
-        nearest = np.searchsorted(0.5 * (y[1:] + y[:-1]), middles) // CHUNK
-        stride = -(-m // UNROLL) * UNROLL
-        table = np.full((stride, len(x)), -np.inf)
-        table[:m] = -((y[:, None] - x) ** 2)
-        table[table <= FAINTEST[precise]] = -np.inf
-        parts = np.isfinite(table).reshape(stride // UNROLL, UNROLL, blocks, lanes)
-        seen = np.any(parts, axis=(1, 3))
-        first, end = (np.argmax(each, axis=0) for each in (seen, seen[::-1]))
-        end = np.where(seen.any(axis=0), len(seen) - end, first)
-        ways = np.stack((nearest, UNROLL * first, UNROLL * end), axis=1)
-        y = np.concatenate((y, np.full(-m % CHUNK, y[-1])))
+        axis = _axis_of(x, y, lanes, FAINTEST[precise])
+        n, m, stride = len(x), len(y), len(axis.kernels)
+        blocks = len(axis.ways)
         cut = real(CUT[precise] + np.log2(m))
         # A CPU's work-item takes a whole line, unless loops must be short.
         span = blocks if constants.group == 1 and not constants.longest_loop else 1
@@ -108,11 +93,10 @@ class GridLogSumExp:
         largest, powers = (
             self._work.empty(size * real().itemsize) for size in (lines, lines * stride)
         )
-        with np.errstate(under="ignore"):
-            table = np.exp2(table)
         buffers = (
-            largest, powers, self._work.buffer(table, real), self._work.buffer(x, real),
-            self._work.buffer(y, real), self._work.buffer(ways, np.uint32),
+            largest, powers, self._work.buffer(axis.kernels, real),
+            self._work.buffer(axis.places, real), self._work.buffer(axis.columns, real),
+            self._work.buffer(axis.ways, np.uint32),
         )  # fmt: skip
         done = 0
         while done < lines:
@@ -131,3 +115,36 @@ class GridLogSumExp:
                     results=results if done + count == lines else (),
                 )  # fmt: skip
             done += count
+
+
+class _Axis(NamedTuple):
+    """What the kernel knows of an axis, with coordinates in the root of powers of two."""
+
+    places: Float64  #: (n filled to lanes,)
+    columns: Float64  #: (m filled to CHUNK,), ascending
+    kernels: Float64  #: (m filled to UNROLL, n filled to lanes): 2^(-(x - y)^2)
+    ways: NDArray[np.int64]  #: (blocks, 3): where sums over the columns begin and end
+
+
+def _axis_of(x: Float64, y: Float64, lanes: int, faintest: float) -> _Axis:
+    """Return an axis for blocks of `lanes` places; kernels under 2^faintest are 0."""
+    m = len(y)
+    if y[-1] < y[0]:
+        x, y = -x, -y
+    middle = 0.5 * (min(x.min(), y[0]) + max(x.max(), y[-1]))
+    x, y = (LOG2_E**0.5 * (each - middle) for each in (x, y))
+    x = np.concatenate((x, np.full(-len(x) % lanes, x[-1])))
+    # The column that is nearest to the middle of each block.
+    middles = 0.5 * (x[::lanes] + x[lanes - 1 :: lanes])
+    nearest = np.searchsorted(0.5 * (y[1:] + y[:-1]), middles) // CHUNK
+    exponents = np.full((m + -m % UNROLL, len(x)), -np.inf)
+    exponents[:m] = -((y[:, None] - x) ** 2)
+    exponents[exponents <= faintest] = -np.inf
+    parts = np.isfinite(exponents).reshape(-1, UNROLL, len(middles), lanes)
+    seen = np.any(parts, axis=(1, 3))
+    first, rest = (np.argmax(each, axis=0) for each in (seen, seen[::-1]))
+    end = np.where(seen.any(axis=0), len(seen) - rest, first)
+    return _Axis(
+        x, np.concatenate((y, np.full(-m % CHUNK, y[-1]))), np.exp2(exponents),
+        np.stack((nearest, UNROLL * first, UNROLL * end), axis=1),
+    )  # fmt: skip
