@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pyopencl as cl
 import pytest
-from conftest import TESTED, found_anew
+from conftest import TESTED
 from planted import FAULTS, Fault
 
 import clmorph
@@ -522,15 +522,14 @@ def test_text_that_a_driver_prints_hides_nothing(empty, tmp_path, reason):
     )
 
 
-def test_without_an_interpreter_programs_are_checked_here(one, requests, monkeypatch):
-    monkeypatch.setattr(trial, "_interpreter", lambda: None)
-    with pytest.raises(DeviceError, match="checked here"):
-        made(one, chosen=False).verify(OTHER)
-    assert requests == []
-
-
-def test_a_device_that_is_not_listed_is_checked_here(one, requests, monkeypatch):
-    monkeypatch.setattr(programs, "index_of", lambda device: None)
+@pytest.mark.parametrize(
+    ("module", "name"), [(trial, "_interpreter"), (programs, "index_of")], ids=str
+)
+def test_where_no_process_can_be_started_programs_are_checked_here(
+    one, requests, monkeypatch, module, name
+):
+    """Without an interpreter, or for a device that OpenCL's loader does not list."""
+    monkeypatch.setattr(module, name, lambda *_: None)
     with pytest.raises(DeviceError, match="checked here"):
         made(one, chosen=False).verify(OTHER)
     assert requests == []
@@ -586,12 +585,3 @@ def test_forced_quirks_have_a_verdict_of_their_own(monkeypatch):
     monkeypatch.setenv("CLMORPH_QUIRKS", "small_groups")
     assert verdicts.verdict_key(handle) != plain
     assert verdicts.device_key(handle) == plain
-
-
-def test_a_search_finds_what_a_program_was_refused_for(asked):
-    """The next choice in the same process passes a refused device over."""
-    first = found_anew()
-    devices.mark_unusable(first[0].handle, "wrong result of x: y")
-    assert not next(d for d in found_anew() if d.index == first[0].index).usable
-    if len(first) > 1:
-        assert devices.choose_device("auto").index != first[0].index

@@ -294,17 +294,6 @@ def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path, fresh_se
     assert not records[broken]["auto"]
 
 
-@pytest.mark.needs_device
-def test_trying_again_forgets_verdicts(monkeypatch, capfd, asked):
-    try:
-        for _ in range(2):
-            assert main(["devices", "--again"]) == 0
-        assert len(asked) == 2 * len(find_devices())
-    finally:
-        find_devices.cache_clear()
-        monkeypatch.undo()
-
-
 @pytest.mark.parametrize(
     ("system", "machine", "family", "first"),
     [
