@@ -17,6 +17,7 @@ from conftest import TESTED, USABLE, found_anew
 
 import clmorph
 from clmorph import DeviceError, InputError
+from clmorph._shared.staging import own_prefix
 from clmorph.backends.opencl import probe
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.devices import cache as storage
@@ -366,17 +367,17 @@ def test_a_relative_cache_folder_is_ignored(monkeypatch, tmp_path):
     assert not (tmp_path / "cache").exists()
 
 
-def test_parts_of_killed_writers_are_removed(monkeypatch, tmp_path):
+def test_what_killed_writers_leave_is_removed(monkeypatch, tmp_path):
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        pass
+    for number in (gone.pid, os.getpid()):
+        name = own_prefix().replace(str(os.getpid()), str(number), 1) + "abcdefgh"
+        (tmp_path / "kernels" / name).mkdir(parents=True)
     storage.write_cached("kernels/a.bin", b"a")
-    for name, age in (("old", 7200), ("new", 0)):
-        (tmp_path / "kernels" / f"{name}.part").write_bytes(b"")
-        then = time.time() - age
-        os.utime(tmp_path / "kernels" / f"{name}.part", (then, then))
-    storage.write_cached("kernels/b.bin", b"b")
-    assert sorted(path.name for path in (tmp_path / "kernels").iterdir()) == [
-        "a.bin", "b.bin", "new.part",
-    ]  # fmt: skip
+    assert sorted(path.name for path in (tmp_path / "kernels").iterdir()) == [name, "a.bin"]
+    storage.forget_cached("kernels")
+    assert [path.name for path in (tmp_path / "kernels").iterdir()] == [name]
 
 
 def test_pyopencls_own_cache_may_fail(device, monkeypatch):

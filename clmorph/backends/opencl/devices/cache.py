@@ -9,15 +9,12 @@ import json
 import os
 import stat
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import platformdirs
 
-#: Ending of files that are being written, and the age in seconds from which such a file is assumed
-#: to belong to a killed process.
-_PART, _PART_SECONDS = ".part", 3600.0
+from clmorph._shared.staging import staging_folder
 
 
 def cache_folder() -> Path | None:
@@ -82,9 +79,12 @@ def write_cached(name: str, content: bytes) -> None:
     if folder is None:
         return
     with contextlib.suppress(OSError):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        _remove_parts((folder / name).parent)
-        write_atomically(folder / name, content)
+        place = folder / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with staging_folder(place.parent) as staging:
+            new = staging / "new"
+            new.write_bytes(content)
+            new.replace(place)
 
 
 def forget_cached(name: str) -> None:
@@ -95,27 +95,8 @@ def forget_cached(name: str) -> None:
     with contextlib.suppress(OSError):
         place = folder / name
         for file in place.iterdir() if place.is_dir() else [place]:
-            file.unlink(missing_ok=True)
-
-
-def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a small file so that readers see the old or the new content, never a part of it."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=_PART)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-
-
-def _remove_parts(folder: Path) -> None:
-    """Remove the incomplete files of killed processes."""
-    for file in folder.glob(f"*{_PART}"):
-        with contextlib.suppress(OSError):
-            if time.time() - file.stat().st_mtime > _PART_SECONDS:
-                file.unlink()
+            if not file.is_dir():  # another process writes there
+                file.unlink(missing_ok=True)
 
 
 def load_record(name: str) -> dict[str, Any]:
