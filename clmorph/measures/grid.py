@@ -13,10 +13,12 @@ import numpy as np
 from clmorph._shared.typing import AnyArray, Array, ArrayLike, BoolArray
 from clmorph._shared.validation import as_float, shown
 from clmorph.backends.arrays import NUMBERS, as_array, as_floats
-from clmorph.backends.interface import MAX_AXIS, MAX_DIMENSION, MAX_POINTS
+from clmorph.backends.interface import MAX_AXIS, MAX_POINTS
 from clmorph.errors import InputError
 from clmorph.measures.measure import check_masses
 
+#: The largest number of axes.
+MAX_AXES = 11
 #: Largest coordinate of a cell, in the unit of blur and reach.
 FARTHEST = 1e6
 
@@ -202,10 +204,10 @@ def grid_measure(
     dims: Any = getattr(values, "dims", None)
     named = isinstance(dims, tuple) and hasattr(values, "coords")
     masses = as_floats("values", values, "masses of cells")
-    if not 1 <= masses.ndim <= MAX_DIMENSION or not masses.size:
+    if not 1 <= masses.ndim <= MAX_AXES or not masses.size:
         raise InputError(
             f"values have shape {masses.shape}: expected masses of the cells of a grid, with 1 to "
-            f"{MAX_DIMENSION} axes"
+            f"{MAX_AXES} axes"
         )
     if axes is not None and (spacing is not None or origin is not None):
         raise InputError("axes replace spacing and origin: give either of them")
@@ -314,7 +316,7 @@ def check_grid(name: str, grid: Grid) -> Grid:
     """Check a grid, because a caller can have made it without `grid_measure`."""
     arrays = (grid.masses, *grid.axes) if isinstance(grid.axes, tuple) else (None,)
     usable = all(type(each) is np.ndarray and each.dtype == np.float64 for each in arrays)
-    usable = usable and 1 <= grid.masses.ndim <= MAX_DIMENSION and grid.masses.size > 0
+    usable = usable and 1 <= grid.masses.ndim <= MAX_AXES and grid.masses.size > 0
     usable = usable and grid.masses.flags.c_contiguous
     if usable and grid.mask is not None:
         usable = type(grid.mask) is np.ndarray and grid.mask.dtype == bool
