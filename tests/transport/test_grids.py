@@ -208,6 +208,10 @@ def test_a_labelled_array_brings_its_coordinates():
     days = Labelled(np.ones(2), ("time",), time=np.array(["2020-01-01", "2020-01-02"], "M8[D]"))
     with pytest.raises(clmorph.InputError, match="'time' have dtype datetime64"):
         clmorph.grid_measure(days)
+    square = Labelled(np.ones((2, 2)), ("y", "x"))
+    mask = Labelled(np.eye(2, dtype=bool), ("x", "y"))
+    with pytest.raises(clmorph.InputError, match="mask has the dimensions .* the same order"):
+        clmorph.grid_measure(square, mask=mask)
 
 
 def test_xarray():
