@@ -210,7 +210,7 @@ def test_a_labelled_array_brings_its_coordinates():
         clmorph.grid_measure(days)
     square = Labelled(np.ones((2, 2)), ("y", "x"))
     mask = Labelled(np.eye(2, dtype=bool), ("x", "y"))
-    with pytest.raises(clmorph.InputError, match="mask has the dimensions .* the same order"):
+    with pytest.raises(clmorph.InputError, match="mask has the dimensions"):
         clmorph.grid_measure(square, mask=mask)
 
 
