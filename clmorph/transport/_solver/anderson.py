@@ -23,21 +23,22 @@ TINY = float(np.finfo(float).tiny)
 class TrustRegion:
     """How far extrapolations may go: for each problem a radius in steps of the plain iteration."""
 
-    def __init__(self, shape: tuple[int, ...] = ()) -> None:
-        self.radius: Any = np.full(shape, TRUST_RADIUS)
+    def __init__(self, of: Any) -> None:
+        self._of: Any = of
+        self.radius: Any = of.filled(TRUST_RADIUS)
         #: Whether it limited the last extrapolation.
-        self.was_cut: Any = np.zeros(shape, bool)
+        self.was_cut: Any = of.filled(False)
 
     def accepted(self, which: Any = True) -> None:
         """Enlarge the region if it limited the last extrapolation, which was good."""
         grown = which & self.was_cut
-        if np.any(grown):
-            self.radius = np.where(grown, GROWTH * self.radius, self.radius)
+        if self._of.any(grown):
+            self.radius = self._of.choose(grown, GROWTH * self.radius, self.radius)
 
     def rejected(self, which: Any = True) -> None:
         """Shrink the region after a bad extrapolation."""
-        shrunk = np.maximum(1.0, SHRINKAGE * self.radius)
-        self.radius = np.where(which, shrunk, self.radius)
+        shrunk = self._of.larger(1.0, SHRINKAGE * self.radius)
+        self.radius = self._of.choose(which, shrunk, self.radius)
 
     def take(self, problems: IntArray) -> None:
         """Go on with some of the problems."""
@@ -48,7 +49,7 @@ class Anderson:
     """Anderson acceleration, of one problem or of many, whose truth values are arrays, (B,)."""
 
     def __init__(self, of: Reductions = WHOLE) -> None:
-        self._of, self._region = of, TrustRegion(of.shape)
+        self._of, self._region = of, TrustRegion(of)
         #: Whether the last iterate is stored, and the differences stored since a problem began.
         self._begun, self._next = np.zeros(of.shape, bool), np.zeros(of.shape, int)
         #: The last image and residual, and the weights of the inner product.

@@ -311,7 +311,7 @@ class Iteration:
         floor, noise, best = of.filled(-np.inf), of.filled(0.0), of.filled(np.inf)
         since_best, running, guessed = of.filled(0), of.filled(True), of.filled(False)
         places, current = np.arange(count), numbers
-        first, least_tol = 0.0, float(np.min(tol))
+        first, least_tol = 0.0, -of.largest_of(-tol)
         while True:
             steps.update_rows()
             n_softmin = n_softmin + running
@@ -334,15 +334,14 @@ class Iteration:
             self._records.append((current, live, residual))
             since_best = of.choose(live, (since_best + 1) * (residual >= 0.9 * best), since_best)
             best = of.choose(live, of.smaller(best, residual), best)
-            first = first or float(np.max(residual))
-            worst = float(best.max()) if of.shape else best
-            share = share_done(first, worst, least_tol)
+            first = first or of.largest_of(residual)
+            share = share_done(first, of.largest_of(best), least_tol)
             self._report_share(self._done + self._level_share * share)
             stalled = live & (since_best >= self._patience) & (leave | (residual <= rounding))
             within, n_iter = live & (residual <= tol), -(-n_softmin // self._softmins)
             ended = within | stalled | (live & (n_iter >= limit)) | steps.outside_trust_region()
             if of.any(ended):
-                here = np.flatnonzero(ended)
+                here = of.numbers(ended)
                 for into, values, whole, own in zip(
                     (reached.f, reached.g, reached.t_columns), steps.potentials(),
                     (*reached.of, reached.of[1]), (*problem.reductions, problem.of_columns),
@@ -352,7 +351,7 @@ class Iteration:
                 reached.residual[places[here]] = np.atleast_1d(residual)[here]
                 self.n_softmin[current[here]] = np.atleast_1d(n_softmin)[here]
                 for status, which in (("precision", stalled), ("converged", within)):
-                    self.status[current[np.flatnonzero(which)]] = status
+                    self.status[current[of.numbers(which)]] = status
                 running = of.without(running, ended)
                 if not of.any(running):
                     return reached

@@ -6,6 +6,9 @@ import numpy as np
 
 from clmorph._shared.typing import AnyArray, Array, BoolArray, IntArray
 
+#: The numbers of the only problem, and of none.
+ONLY, NONE = np.zeros(1, int), np.zeros(0, int)
+
 
 class Whole:
     """Reductions over the vectors of one problem."""
@@ -38,6 +41,14 @@ class Whole:
     def any(self, which: Any) -> bool:
         """Return whether this is true of a problem."""
         return bool(which)
+
+    def numbers(self, which: Any) -> IntArray:
+        """Return the numbers of the problems of which this is true."""
+        return ONLY if which else NONE
+
+    def largest_of(self, value: Any) -> Any:
+        """Return the largest one of the numbers of all problems."""
+        return value
 
     def without(self, which: Any, others: Any) -> bool:
         """Return whether the first is true of a problem, and the second is not."""
@@ -104,6 +115,7 @@ class Segments:
         return which & ~others
 
     any, choose = staticmethod(np.any), staticmethod(np.where)
+    numbers, largest_of = staticmethod(np.flatnonzero), staticmethod(np.max)
     larger, smaller = staticmethod(np.maximum), staticmethod(np.minimum)
 
     def sum(self, x: Array) -> Array:

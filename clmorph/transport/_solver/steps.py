@@ -149,7 +149,7 @@ class DeviceSteps:
     def __init__(self, problem: Problem, iteration: ResidentIteration) -> None:
         self._problem, self._iteration = problem, iteration
         of: Any = problem.of_rows
-        self._region = TrustRegion(of.shape)
+        self._region = TrustRegion(of)
         self._begun, self._next, self._back = of.filled(False), of.filled(0), of.filled(False)
 
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
@@ -181,8 +181,7 @@ class DeviceSteps:
         self._guessed = of.without(self._guessed, which)
 
     def accept(self, which: Any = np.True_) -> None:
-        if self._problem.of_rows.any(self._region.was_cut):
-            self._region.accepted(which)
+        self._region.accepted(which)
 
     def update_columns(self) -> Any:
         """Return the residual before g was updated, which `update_rows` has computed."""
