@@ -224,10 +224,7 @@ void column_step(
     const double longest = RADIUS * sqrt(group_sum(sum_of_lanes(square), shared));
     for (uint first = 0; first < COUNT; first += BLOCK) {
         vdouble of_difference[BLOCK], of_residual[BLOCK];
-        for (uint k = 0; k < BLOCK; ++k)
-            of_difference[k] = of_residual[k] = (vdouble)(0.0);
-        for (uint i = FIRST; i < own_m; i += STEP)
-            add_products(columns, m, control, first, i, of_difference, of_residual);
+        sum_products(columns, m, control, first, FIRST, own_m, of_difference, of_residual);
 #pragma unroll
         for (uint k = 0; k < BLOCK; ++k) {
             const double newest = group_sum(sum_of_lanes(of_difference[k]), shared);

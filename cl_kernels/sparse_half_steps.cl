@@ -357,10 +357,7 @@ void column_step(
     leave(sum_of_lanes(other_along), false, LEFT(1, 3), shared);
     for (uint first = 0; first < COUNT; first += BLOCK) {
         vdouble of_difference[BLOCK], of_residual[BLOCK];
-        for (uint k = 0; k < BLOCK; ++k)
-            of_difference[k] = of_residual[k] = (vdouble)(0.0);
-        for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP)
-            add_products(columns, m, control, first, i, of_difference, of_residual);
+        sum_products(columns, m, control, first, OWN_FIRST(m), OWN_END(m), of_difference, of_residual);
 #pragma unroll
         for (uint k = 0; k < BLOCK; ++k) {
             leave(sum_of_lanes(of_difference[k]), false, LEFT(1, 4 + IN_BLOCK(first, k)), shared);

@@ -205,21 +205,25 @@ INLINE vdouble remember(
     return residual * weights * residual;
 }
 
-// Add the inner products of BLOCK differences, from `first` on, with the new one and with the residual: few at
-// once, so that their sums stay in registers. Those after the last are the last one's.
+// Inner products of BLOCK differences, from `first` on, with the new one and with the residual, over the entries
+// of a work-item: few at once, so that their sums stay in registers. Those after the last are the last one's.
 #define BLOCK 4
 #define IN_BLOCK(first, k) min((first) + (k), COUNT - 1)
 
-INLINE void add_products(
-    const __global double* columns, const uint m, const uint control, const uint first, const uint i,
-    vdouble* of_difference, vdouble* of_residual)
+INLINE void sum_products(
+    const __global double* columns, const uint m, const uint control, const uint first, const uint begin,
+    const uint end, vdouble* of_difference, vdouble* of_residual)
 {
-    const vdouble weights = DLOAD(i, COLUMN(COLUMN_MASS)), change = DLOAD(i, DIFFERENCES(PLACE));
-    const vdouble residual = DLOAD(i, COLUMN(COLUMN_RESIDUAL_0 + PARITY));
-    for (uint k = 0; k < BLOCK; ++k) {
-        const vdouble weighted = DLOAD(i, DIFFERENCES(IN_BLOCK(first, k))) * weights;
-        of_difference[k] += weighted * change;
-        of_residual[k] += weighted * residual;
+    for (uint k = 0; k < BLOCK; ++k)
+        of_difference[k] = of_residual[k] = (vdouble)(0.0);
+    for (uint i = begin; i < end; i += STEP) {
+        const vdouble weights = DLOAD(i, COLUMN(COLUMN_MASS)), change = DLOAD(i, DIFFERENCES(PLACE));
+        const vdouble residual = DLOAD(i, COLUMN(COLUMN_RESIDUAL_0 + PARITY));
+        for (uint k = 0; k < BLOCK; ++k) {
+            const vdouble weighted = DLOAD(i, DIFFERENCES(IN_BLOCK(first, k))) * weights;
+            of_difference[k] += weighted * change;
+            of_residual[k] += weighted * residual;
+        }
     }
 }
 

@@ -95,12 +95,12 @@ def iterated_over_stored(operations: Operations, rho: tuple[float, float]) -> li
 
 
 def a_few_steps(steps: Steps, g: np.ndarray, epsilon: float, precise: bool) -> list[np.ndarray]:
-    """Iterate from g, and take one extrapolation back."""
+    """Iterate from g until products take more than one block, and take one extrapolation back."""
     steps.begin(g, epsilon, precise)
-    for extrapolate in (True, True, True):
+    for _ in range(7):
         steps.update_rows()
         steps.update_columns()
-        steps.go_on(extrapolate)
+        steps.go_on(True)
     steps.update_rows()
     steps.take_back()
     steps.update_rows()
