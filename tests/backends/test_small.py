@@ -33,7 +33,7 @@ BUILDS = {
     "vector-4": cpu_constants(4),
     "vector-8": cpu_constants(8),
     "vector-16": cpu_constants(16),
-    "pairs": replace(gpu_constants(64), precise=1),
+    "pairs": replace(gpu_constants(64), precise=1, float64=0),
 }
 
 

@@ -96,7 +96,7 @@ def test_readings_do_not_saturate(monkeypatch, rate):
         def upload(self, points, weights):
             return len(points)
 
-        def softmin(self, rows, columns, potential, epsilon):
+        def softmin(self, rows, columns, potential, epsilon, precise):
             sizes.append(rows)
             time.sleep(1e-3)  # the host's share
             self.work.device_seconds += 5e-6 + rows * columns / rate
