@@ -25,10 +25,10 @@ from clmorph.pipeline.keywords import RearrangeKeywords
 from clmorph.pipeline.prepare import as_images
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.rearrangement import Rearrangement
-from clmorph.transport.assignment import Indices
-from clmorph.transport.auction import Costs, solved
+from clmorph.transport.assignment_search import solved
 from clmorph.transport.block_potentials import transport_pixels
 from clmorph.transport.matching import warn_unless_reached
+from clmorph.transport.pair_costs import Costs, Indices
 from clmorph.transport.plan import Plan
 
 #: Length scale of the entropic plan from which the search begins, and its tolerance.
@@ -118,8 +118,8 @@ def arranged(
     )
     potentials = found.potentials
     solution = solved(
-        Costs(source.points, target.points, None), potentials.g, potentials.epsilon, options.gap,
-        operations, options.seed, lambda share: report("pixels", share),
+        Costs(source.points, target.points), potentials.g, potentials.epsilon, options.gap,
+        lambda share: report("pixels", share),
     )  # fmt: skip
     warn_unless_reached(solution, options.gap)
     assignment, n_pixels = solution.columns, len(source)

@@ -10,14 +10,15 @@ import numpy as np
 
 from clmorph._shared.progress import Share
 from clmorph._shared.typing import Array, ArrayLike, Progress
-from clmorph._shared.validation import check_integer, check_number, check_progress
+from clmorph._shared.validation import check_number, check_progress
 from clmorph.backends.arrays import as_floats
-from clmorph.backends.interface import MAX_DIMENSION
+from clmorph.backends.interface import MAX_DIMENSION, Operations
 from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.points import as_measure
-from clmorph.transport.auction import FEW_PAIRS, Costs, Indices, Solution, solved
+from clmorph.transport.assignment_search import FEW_PAIRS, Solution, solved
+from clmorph.transport.pair_costs import Costs, Indices
 from clmorph.transport.regularization import regularization
 from clmorph.transport.sinkhorn import solve
 
@@ -75,7 +76,6 @@ def assignment(
     *,
     weights: ArrayLike | None = None,
     gap: float = 0.0,
-    seed: int = 0,
     backend: Backend = "auto",
     progress: Progress | None = None,
 ) -> Assignment:
@@ -92,11 +92,9 @@ def assignment(
     gap : float
         Share of the bound by which the cost may exceed it. 0 asks for the cheapest assignment: its
         cost is that of `scipy.optimize.linear_sum_assignment`, to the rounding of float64.
-    seed : int
-        Seed of the pairs that are looked at first.
     backend : str, object of pyopencl, or Operations
-        See `clmorph.get_backend`. The device solves the entropic problem from which the search
-        begins, draws candidates, and with more than 2^27 pairs checks all pairs against the prices.
+        See `clmorph.get_backend`. The device solves the entropic problem at whose potentials
+        the search begins.
     progress : callable, optional
         A function that is called with the share of the work that is done, from 0 to 1.
 
@@ -130,7 +128,6 @@ def assignment(
     True
     """
     gap = check_number("gap", gap, 0.0, 1e3)
-    seed = check_integer("seed", seed, 0, 2**32 - 1)
     report = check_progress(progress)
     clouds = _points("x", x), _points("y", y)
     dimensions = clouds[0].shape[1], clouds[1].shape[1]
@@ -151,18 +148,18 @@ def assignment(
     mean = 1.0 if shares is None else float(shares.mean())
     costs = Costs(first, second, None if shares is None else shares / mean)
     operations = for_one_solve(get_backend(backend))
-    found = certified(costs, gap, operations, seed, report)
+    found = certified(costs, gap, operations, report)
     unit = mean if shares is not None else 1.0 / len(first)
     result = _result(found, unit, swapped)
     warn_unless_reached(found, gap)
     return result
 
 
-def certified(costs: Costs, gap: float, operations: Any, seed: int, report: Progress) -> Solution:
+def certified(costs: Costs, gap: float, operations: Operations, report: Progress) -> Solution:
     """Return an assignment from an entropic start; the parameters are checked ones."""
     scale = costs.scale
     g = np.zeros(len(costs.y))
-    if scale > 0 and len(costs.y) ** 2 > FEW_PAIRS:
+    if scale > 0 and len(costs.x) * len(costs.y) > FEW_PAIRS:
         # In units of the mean cost, so that lengths of any size can be used.
         unit = Costs(costs.x / scale**0.5, costs.y / scale**0.5, costs.weights)
         line = unit.x.shape[1] == 1 and not unit.spare and unit.weights is None
@@ -173,7 +170,7 @@ def certified(costs: Costs, gap: float, operations: Any, seed: int, report: Prog
                 "auto", lambda share: report(Share(0.3 * share, "prices")),
             ).g  # fmt: skip
         unit_found = solved(
-            unit, prices, EPSILON, gap, operations, seed,
+            unit, prices, EPSILON, gap,
             lambda share: report(Share(0.3 + 0.7 * share, getattr(share, "note", ""))), start,
         )  # fmt: skip
         f, g = (scale * each for each in unit_found.prices)
@@ -181,7 +178,7 @@ def certified(costs: Costs, gap: float, operations: Any, seed: int, report: Prog
             unit_found.columns, (f, g), scale * unit_found.cost, scale * unit_found.bound,
             unit_found.reached,
         )  # fmt: skip
-    return solved(costs, g, scale, gap, operations, seed, report)
+    return solved(costs, g, scale, gap, operations, report)
 
 
 def _in_order(costs: Costs) -> tuple[Array, Indices]:

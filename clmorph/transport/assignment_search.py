@@ -1,0 +1,182 @@
+"""The cheapest assignment, with prices that prove how far any other one can be below it.
+
+Prices begin at entropic potentials. Candidates are the pairs that are cheapest at them, for each
+row and for each column. Auctions with ever smaller increments end near the cheapest assignment of
+candidates; where that is too much for the gap, shortest paths and negative circles make it the
+cheapest one, with prices that prove it. Then the cheapest of all pairs of each row is found at
+these prices: pairs that undercut their row's candidates join these, until there are none. By weak
+duality the sum of prices bounds the cost of all assignments from below.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from clmorph._shared.progress import Report, Share
+from clmorph._shared.typing import Array
+from clmorph.transport.auction import ROUNDING, Auction, few
+from clmorph.transport.pair_costs import Costs, Indices
+
+#: With at most this many pairs, all of them are candidates.
+FEW_PAIRS = 1 << 14
+#: Candidates of each point at first, and those that join when a pair is found to be cheaper.
+CANDIDATES, MORE = 16, 8
+#: The first increment of bids, in units of epsilon, and by how much the next one is smaller.
+INCREMENT, FACTOR = 0.5, 8.0
+#: The increment, in units of epsilon, after which shortest paths are tried, and their steps.
+SMALL, STEPS = 2.0**-6, 300
+#: Bids for each row after which all pairs are checked, and checks after which the search ends.
+BIDS, CHECKS = 30, 100
+#: If rows are left without a column after so many attempts, they get one of those left: where
+#: groups of points are far apart, their prices would take too many bids.
+ATTEMPTS = 2
+
+
+class Solution(NamedTuple):
+    """An assignment and its proof; costs and prices are sums over the rows."""
+
+    columns: Indices  #: (N,) column of each row
+    prices: tuple[Array, Array]  #: (N,) f and (M,) g, with f_i + g_j at most the cost of the pair
+    cost: float
+    bound: float  #: no assignment has a lower cost
+    reached: bool  #: whether the gap is reached, or the assignment is the cheapest, to rounding
+
+
+def solved(
+    costs: Costs,
+    g: Array,
+    epsilon: float,
+    gap: float,
+    report: Report = lambda share: None,
+    start: Indices | None = None,
+) -> Solution:
+    """Return an assignment whose cost is at most (1 + gap) times its bound, if that is reached.
+
+    g: (M,) prices at which the search begins, such as entropic potentials; epsilon: theirs, in cost
+    units; gap: 0 asks for the cheapest assignment, to rounding; start: (N,) columns of an
+    assignment at which it begins in place of bids, with N = M.
+    """
+    state = _begun(costs, g, epsilon, start)
+    n, m = len(costs.x), len(costs.y)
+    found, first = Solution(np.arange(n), (g[:n], g), np.inf, -np.inf, False), np.inf
+    failed, increment, settled = 0, INCREMENT * epsilon, start is not None
+    for _ in range(CHECKS):
+        proven, increment, settled = _improved(state, increment, epsilon, gap, settled, BIDS * m)
+        if not proven:
+            failed += 1
+            if failed > ATTEMPTS and state.taken.min() < 0:
+                state.complete()
+                settled = True
+        f, undercut = _checked(state, increment)
+        bound = state.bound(f)
+        if bound > found.bound:
+            found = found._replace(prices=(f, state.g.copy()), bound=max(bound, 0.0))
+        if state.taken.min() < 0:
+            continue
+        cost = state.cost()
+        if cost < found.cost:
+            found = found._replace(columns=state.taken.copy(), cost=cost)
+        above = found.cost - found.bound
+        first = min(first, above)
+        report(Share(_share(above, first, gap * found.bound), f"gap {_gap(found):.1e}"))
+        if above <= gap * found.bound or (proven and settled and not undercut):
+            found = found._replace(reached=True)
+            break
+    report(1.0)
+    f, g = found.prices
+    # Columns that no row has then have a price of 0, and the others prove the bound alone.
+    shift = float(g.max()) if costs.spare else 0.0
+    return found._replace(
+        cost=float(found.cost), bound=float(min(found.bound, found.cost)),
+        prices=(f + shift, g - shift),
+    )  # fmt: skip
+
+
+def _begun(costs: Costs, g: Array, epsilon: float, start: Indices | None) -> Auction:
+    """Return an auction with its first candidates."""
+    n, m = len(costs.x), len(costs.y)
+    own = np.arange(n)
+    if start is not None:
+        state = Auction(costs, g, own, start)
+        state.take(start)
+        return state
+    if costs.spare:
+        # The price at which the columns left over would be taken, if one point took them all.
+        top = g.max()
+        level = top + epsilon * np.log(np.exp((g - top) / epsilon).sum() / costs.spare)
+        g = np.minimum(g, level)
+    if n * m <= FEW_PAIRS:
+        rows, columns = (each.ravel() for each in np.indices((n, m)))
+        return Auction(costs, g, rows, columns)
+    columns = costs.cheapest(0, g, CANDIDATES, own)
+    count = columns.shape[1]
+    rows = np.repeat(own, count)
+    f = (costs.of_pairs(rows, columns.ravel()) - g[columns.ravel()]).reshape(n, -1).min(axis=1)
+    others = costs.cheapest(1, f, CANDIDATES, np.arange(m)).ravel()
+    chosen = np.repeat(np.arange(m), len(others) // m)
+    kept = few(others, costs.of_pairs(others, chosen) - g[chosen])
+    rows = np.concatenate((rows, others[kept]))
+    columns = np.concatenate((columns.ravel(), chosen[kept]))
+    return Auction(costs, g, rows, columns)
+
+
+def _improved(
+    state: Auction, increment: float, epsilon: float, gap: float, settled: bool, bids: int
+) -> tuple[bool, float, bool]:
+    """Bring the assignment near the cheapest one of the candidates.
+
+    Return whether it is proven to be near enough for the gap, the next increment, and whether
+    shortest paths have proven it.
+    """
+    if settled and state.settle(STEPS):
+        return True, increment, True
+    smallest = 8 * ROUNDING * state.size
+    while True:
+        if state.taken.min() >= 0:
+            state.release()
+        if not state.run(increment, bids):
+            return False, increment, False
+        bound = float(state.cheapest().sum() + state.g.sum())
+        if state.costs.spare:
+            bound -= state.level * state.costs.spare
+        if state.cost() - bound <= gap / 2 * bound:
+            return True, increment, False
+        if increment <= SMALL * epsilon and state.settle(STEPS):
+            return True, increment, True
+        if increment <= smallest:
+            return False, increment, False
+        increment = max(increment / FACTOR, smallest)
+
+
+def _checked(state: Auction, increment: float) -> tuple[Array, int]:
+    """Return f_i at most min_j (C_ij - g_j) over all pairs, and add candidates that undercut.
+
+    The second result is the number of rows for which there were such.
+    """
+    costs, g = state.costs, state.g
+    own = np.arange(len(costs.x))
+    candidates = state.cheapest()
+    nearest = costs.cheapest(0, g, 1, own)[:, 0]
+    f = np.minimum(candidates, costs.of_pairs(own, nearest) - g[nearest])
+    # What one form of a cost can be below another one by rounding.
+    lost = ROUNDING * max(costs.scale, float(np.abs(g).max()))
+    undercut = np.flatnonzero(f < candidates - lost)
+    if len(undercut):
+        columns = costs.cheapest(0, g, MORE, undercut)
+        rows = np.repeat(undercut, columns.shape[1])
+        state.add(np.append(rows, undercut), np.append(columns.ravel(), nearest[undercut]))
+    return f, len(undercut)
+
+
+def _gap(found: Solution) -> float:
+    return (found.cost / found.bound - 1) if found.bound > 0 else np.inf
+
+
+def _share(above: float, first: float, enough: float) -> float:
+    """Return the progress of a gap that falls about geometrically."""
+    if above <= enough or first <= 0:
+        return 1.0
+    end = np.log(first / max(enough, 1e-12 * first))
+    return float(np.clip(np.log(first / above) / end, 0.0, 1.0)) if end > 0 else 0.0
