@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from clmorph.adapters._losses import LOSS_TOL, divergence_and_gradient
+from clmorph.adapters._losses import LOSS_TOL, changed_gradient, divergence_and_gradient
 from clmorph.backends.select import Backend
 from clmorph.errors import InputError
 from clmorph.transport.options import SolverOptions
@@ -31,7 +31,8 @@ def sinkhorn_divergence(
 
     Values and derivatives are those of `clmorph.sinkhorn_divergence`, in closed form: nothing of
     the solver's iteration is recorded. Tensors are copied to the host once, and results back to
-    their device. There are no second derivatives.
+    their device. Second derivatives (``create_graph=True``) are those of `clmorph.hessian_product`,
+    with its limits; third ones are refused.
 
     Parameters
     ----------
@@ -87,29 +88,51 @@ def _function() -> Any:
     """Return the function of autograd; it is made here, so that this module needs no PyTorch."""
     import torch
 
+    def as_given(parts: tuple[Any, ...], tensors: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(
+            torch.as_tensor(part).to(each) for part, each in zip(parts, tensors, strict=False)
+        )
+
+    def on_host(tensors: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(each.detach().cpu().double().numpy() for each in tensors)
+
+    class DivergenceGradient(torch.autograd.Function):  # type: ignore[misc,unused-ignore]
+        """The gradient, which is known, with its derivatives."""
+
+        @staticmethod
+        def forward(context: Any, options: dict[str, Any], parts: Any, *tensors: Any) -> Any:
+            context.options = options
+            context.save_for_backward(*tensors)
+            return tuple(part.clone() for part in parts)
+
+        @staticmethod
+        @torch.autograd.function.once_differentiable  # type: ignore[untyped-decorator,unused-ignore]
+        def backward(context: Any, *outer: Any) -> Any:
+            # The Hessian is symmetric, so that its product with a row is that with a column.
+            tensors = context.saved_tensors
+            changed = changed_gradient(on_host(tensors), on_host(outer), context.options)
+            return None, None, *as_given(changed, tensors)
+
     class SinkhornDivergence(torch.autograd.Function):  # type: ignore[misc,unused-ignore]
         """The divergence with its closed gradient."""
 
         @staticmethod
         def forward(context: Any, options: dict[str, Any], *tensors: Any) -> Any:
-            arrays = [each.detach().cpu().double().numpy() for each in tensors]
+            a, x, b, y = on_host(tensors)
             needed = any(context.needs_input_grad)
-            a, x, b, y = arrays
             value, parts = divergence_and_gradient((a, x, b, y), needed, options)
-            context.save_for_backward(
-                *(
-                    torch.as_tensor(part).to(each)
-                    for part, each in zip(parts, tensors, strict=False)
-                )
-            )
+            context.options = options
+            context.save_for_backward(*tensors, *as_given(parts, tensors))
             return torch.as_tensor(value).to(tensors[1])
 
         @staticmethod
-        @torch.autograd.function.once_differentiable  # type: ignore[untyped-decorator,unused-ignore]
         def backward(context: Any, outer: Any) -> Any:
+            tensors, parts = context.saved_tensors[:4], context.saved_tensors[4:]
+            if torch.is_grad_enabled():
+                parts = DivergenceGradient.apply(context.options, parts, *tensors)
             return None, *(
                 part * outer.to(part).reshape(outer.shape + (1,) * (part.ndim - outer.ndim))
-                for part in context.saved_tensors
+                for part in parts
             )
 
     return SinkhornDivergence

@@ -119,7 +119,7 @@ def arranged(
     potentials = found.potentials
     solution = solved(
         Costs(source.points, target.points), potentials.g, potentials.epsilon, options.gap,
-        lambda share: report("pixels", share),
+        options.seed, lambda share: report("pixels", share),
     )  # fmt: skip
     warn_unless_reached(solution, options.gap)
     assignment, n_pixels = solution.columns, len(source)

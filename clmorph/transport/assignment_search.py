@@ -10,6 +10,7 @@ duality the sum of prices bounds the cost of all assignments from below.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,13 +26,22 @@ FEW_PAIRS = 1 << 14
 CANDIDATES, MORE = 16, 8
 #: The first increment of bids, in units of epsilon, and by how much the next one is smaller.
 INCREMENT, FACTOR = 0.5, 8.0
-#: The increment, in units of epsilon, after which shortest paths are tried, and their steps.
-SMALL, STEPS = 2.0**-6, 300
-#: Bids for each row after which all pairs are checked, and checks after which the search ends.
-BIDS, CHECKS = 30, 100
+#: The increment, in units of epsilon, after which shortest paths are tried, and the lines of
+#: candidates for each row after which these are given up.
+SMALL, LINES = 2.0**-6, 20
+#: Groups into which points are parted, again and again, for pairs that are far apart, and how many
+#: of these each row gets at a time.
+PARTS, FAR = 16, 4
+#: By how much increments become larger after too many bids.
+LARGER = 4.0
+#: Share of rows that find cheaper pairs beyond which all points get new candidates.
+MANY = 0.05
+#: Bids for each row after which all pairs are checked, at first and after many such times, and
+#: checks after which the search ends.
+BIDS, MOST_BIDS, CHECKS = 30, 480, 100
 #: If rows are left without a column after so many attempts, they get one of those left: where
 #: groups of points are far apart, their prices would take too many bids.
-ATTEMPTS = 2
+ATTEMPTS = 5
 
 
 class Solution(NamedTuple):
@@ -49,47 +59,63 @@ def solved(
     g: Array,
     epsilon: float,
     gap: float,
+    seed: int = 0,
     report: Report = lambda share: None,
     start: Indices | None = None,
+    constant: float = 0.0,
 ) -> Solution:
     """Return an assignment whose cost is at most (1 + gap) times its bound, if that is reached.
 
     g: (M,) prices at which the search begins, such as entropic potentials; epsilon: theirs, in cost
-    units; gap: 0 asks for the cheapest assignment, to rounding; start: (N,) columns of an
-    assignment at which it begins in place of bids, with N = M.
+    units; gap: 0 asks for the cheapest assignment, to rounding; seed: of far pairs; start: (N,)
+    columns of an assignment at which it begins in place of bids, with N = M; constant: what each
+    assignment costs besides, of which the gap is a share as well.
     """
     state = _begun(costs, g, epsilon, start)
     n, m = len(costs.x), len(costs.y)
     found, first = Solution(np.arange(n), (g[:n], g), np.inf, -np.inf, False), np.inf
     failed, increment, settled = 0, INCREMENT * epsilon, start is not None
-    for _ in range(CHECKS):
-        proven, increment, settled = _improved(state, increment, epsilon, gap, settled, BIDS * m)
+    for number in range(CHECKS):
+        bids = m * min(BIDS << failed, MOST_BIDS)
+        proven = settled = settled and state.settle(LINES * m)
+        if not proven:
+            proven, increment, settled = _bid(state, increment, epsilon, gap, constant, bids)
         if not proven:
             failed += 1
+            increment = min(LARGER * increment, costs.scale)
             if failed > ATTEMPTS and state.taken.min() < 0:
                 state.complete()
                 settled = True
-        f, undercut = _checked(state, increment)
+        f, undercut, by = _checked(state)
+        if not proven or undercut > MANY * n:
+            state.add(*_far(costs, state.g, np.random.default_rng(seed + number)))
         bound = state.bound(f)
         if bound > found.bound:
-            found = found._replace(prices=(f, state.g.copy()), bound=max(bound, 0.0))
+            found = found._replace(prices=(f, state.g.copy()), bound=bound)
         if state.taken.min() < 0:
             continue
         cost = state.cost()
         if cost < found.cost:
             found = found._replace(columns=state.taken.copy(), cost=cost)
-        above = found.cost - found.bound
-        first = min(first, above)
-        report(Share(_share(above, first, gap * found.bound), f"gap {_gap(found):.1e}"))
-        if above <= gap * found.bound or (proven and settled and not undercut):
+        bound = max(found.bound, -constant)  # no assignment costs less than nothing
+        above = found.cost - bound
+        first, enough = min(first, above), gap * (bound + constant)
+        report(Share(_share(above, first, enough), f"gap {_gap(found):.1e}"))
+        if above <= enough or (proven and settled and not undercut):
             found = found._replace(reached=True)
             break
+        # If shortest paths are too long from here, bids rise from what prices are off by.
+        increment = max(increment, min(by / 4, INCREMENT * epsilon))
+        settled = undercut <= MANY * n and (settled or (proven and not undercut))
+    if found.cost == np.inf:
+        state.complete()
+        found = found._replace(columns=state.taken.copy(), cost=state.cost())
     report(1.0)
     f, g = found.prices
     # Columns that no row has then have a price of 0, and the others prove the bound alone.
     shift = float(g.max()) if costs.spare else 0.0
     return found._replace(
-        cost=float(found.cost), bound=float(min(found.bound, found.cost)),
+        cost=float(found.cost), bound=float(min(max(found.bound, -constant), found.cost)),
         prices=(f + shift, g - shift),
     )  # fmt: skip
 
@@ -108,30 +134,52 @@ def _begun(costs: Costs, g: Array, epsilon: float, start: Indices | None) -> Auc
         level = top + epsilon * np.log(np.exp((g - top) / epsilon).sum() / costs.spare)
         g = np.minimum(g, level)
     if n * m <= FEW_PAIRS:
-        rows, columns = (each.ravel() for each in np.indices((n, m)))
-        return Auction(costs, g, rows, columns)
-    columns = costs.cheapest(0, g, CANDIDATES, own)
-    count = columns.shape[1]
-    rows = np.repeat(own, count)
-    f = (costs.of_pairs(rows, columns.ravel()) - g[columns.ravel()]).reshape(n, -1).min(axis=1)
+        return Auction(costs, g, *(each.ravel() for each in np.indices((n, m))))
+    return Auction(costs, g, *_candidates(costs, g))
+
+
+def _candidates(costs: Costs, g: Array) -> tuple[Indices, Indices]:
+    """Return the cheapest pairs of each row and of each column at some prices."""
+    n, m = len(costs.x), len(costs.y)
+    columns = costs.cheapest(0, g, CANDIDATES, np.arange(n)).ravel()
+    rows = np.repeat(np.arange(n), len(columns) // n)
+    f = (costs.of_pairs(rows, columns) - g[columns]).reshape(n, -1).min(axis=1)
     others = costs.cheapest(1, f, CANDIDATES, np.arange(m)).ravel()
     chosen = np.repeat(np.arange(m), len(others) // m)
     kept = few(others, costs.of_pairs(others, chosen) - g[chosen])
-    rows = np.concatenate((rows, others[kept]))
-    columns = np.concatenate((columns.ravel(), chosen[kept]))
-    return Auction(costs, g, rows, columns)
+    return np.concatenate((rows, others[kept])), np.concatenate((columns, chosen[kept]))
 
 
-def _improved(
-    state: Auction, increment: float, epsilon: float, gap: float, settled: bool, bids: int
+def _far(costs: Costs, g: Array, rng: np.random.Generator) -> tuple[Indices, Indices]:
+    """Return pairs that are cheap among ever fewer ones, as rows may have to go to far columns.
+
+    Rows and columns are parted at random in as many groups, of which each row searches one.
+    """
+    n, m = len(costs.x), len(costs.y)
+    rows, columns = [np.zeros(0, np.intp)], [np.zeros(0, np.intp)]
+    groups = PARTS
+    while n >= groups * 2:
+        orders = [np.array_split(rng.permutation(count), groups) for count in (n, m)]
+        for some, others in zip(*orders, strict=True):
+            part = replace(
+                costs, x=costs.x[some], y=costs.y[others],
+                weights=None if costs.weights is None else costs.weights[some],
+            )  # fmt: skip
+            found = part.cheapest(0, g[others], FAR, np.arange(len(some)))
+            rows.append(np.repeat(some, found.shape[1]))
+            columns.append(others[found.ravel()])
+        groups *= PARTS
+    return np.concatenate(rows), np.concatenate(columns)
+
+
+def _bid(
+    state: Auction, increment: float, epsilon: float, gap: float, constant: float, bids: int
 ) -> tuple[bool, float, bool]:
-    """Bring the assignment near the cheapest one of the candidates.
+    """Bring the assignment near the cheapest one of the candidates by bids.
 
-    Return whether it is proven to be near enough for the gap, the next increment, and whether
+    Return whether it is proven to be near enough for the gap, the last increment, and whether
     shortest paths have proven it.
     """
-    if settled and state.settle(STEPS):
-        return True, increment, True
     smallest = 8 * ROUNDING * state.size
     while True:
         if state.taken.min() >= 0:
@@ -141,33 +189,37 @@ def _improved(
         bound = float(state.cheapest().sum() + state.g.sum())
         if state.costs.spare:
             bound -= state.level * state.costs.spare
-        if state.cost() - bound <= gap / 2 * bound:
+        if state.cost() - bound <= gap / 2 * (bound + constant):
             return True, increment, False
-        if increment <= SMALL * epsilon and state.settle(STEPS):
+        if increment <= SMALL * epsilon and state.settle(LINES * len(state.g)):
             return True, increment, True
         if increment <= smallest:
             return False, increment, False
         increment = max(increment / FACTOR, smallest)
 
 
-def _checked(state: Auction, increment: float) -> tuple[Array, int]:
+def _checked(state: Auction) -> tuple[Array, int, float]:
     """Return f_i at most min_j (C_ij - g_j) over all pairs, and add candidates that undercut.
 
-    The second result is the number of rows for which there were such.
+    The other results are the number of rows for which there were such, and by how much on average.
     """
     costs, g = state.costs, state.g
     own = np.arange(len(costs.x))
-    candidates = state.cheapest()
+    before = state.cheapest()
     nearest = costs.cheapest(0, g, 1, own)[:, 0]
-    f = np.minimum(candidates, costs.of_pairs(own, nearest) - g[nearest])
+    f = np.minimum(before, costs.of_pairs(own, nearest) - g[nearest])
     # What one form of a cost can be below another one by rounding.
     lost = ROUNDING * max(costs.scale, float(np.abs(g).max()))
-    undercut = np.flatnonzero(f < candidates - lost)
-    if len(undercut):
+    undercut = np.flatnonzero(f < before - lost)
+    if not len(undercut):
+        return f, 0, 0.0
+    if len(undercut) > MANY * len(own):
+        rows, columns = _candidates(costs, g)
+    else:
         columns = costs.cheapest(0, g, MORE, undercut)
-        rows = np.repeat(undercut, columns.shape[1])
-        state.add(np.append(rows, undercut), np.append(columns.ravel(), nearest[undercut]))
-    return f, len(undercut)
+        rows, columns = np.repeat(undercut, columns.shape[1]), columns.ravel()
+    state.add(np.append(rows, undercut), np.append(columns, nearest[undercut]))
+    return f, len(undercut), float((before - f)[undercut].mean())
 
 
 def _gap(found: Solution) -> float:
@@ -178,5 +230,5 @@ def _share(above: float, first: float, enough: float) -> float:
     """Return the progress of a gap that falls about geometrically."""
     if above <= enough or first <= 0:
         return 1.0
-    end = np.log(first / max(enough, 1e-12 * first))
+    end = np.log(first / max(enough, 1e-12 * first, np.finfo(float).tiny))
     return float(np.clip(np.log(first / above) / end, 0.0, 1.0)) if end > 0 else 0.0

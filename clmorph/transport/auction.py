@@ -184,9 +184,8 @@ class Auction:
             wanted = self._columns.other[open_, place]
             stays = self.level <= best + increment
             self.g[open_[stays]] = self.level
-            bidders, wanted, lead, best = (
-                each[~stays] for each in (open_, wanted, lead, best)
-            )
+            bidders, wanted = open_[~stays], wanted[~stays]
+            best, lead = best[~stays], lead[~stays]
             price = np.minimum(self.level, best + lead + increment)
             reached = f[wanted] - (price - best)
             np.minimum.at(f, wanted, reached)
@@ -203,8 +202,10 @@ class Auction:
         self._find_places(np.arange(n))
         return not len(open_)
 
-    def settle(self, steps: int) -> bool:
+    def settle(self, work: int) -> bool:
         """Make the assignment the cheapest one of the candidates; return whether it is proven.
+
+        work: number of lines of candidates after which it ends.
 
         Prices fall to g_j <= C_ij - C_is(i) + g_s(i) (Bellman, Ford), from where the last ones have
         fallen. Rows that undercut one another in a circle change their columns, which is cheaper
@@ -216,7 +217,9 @@ class Auction:
         cause = np.full(m, -1)  # the column whose row has set a column's price last
         changed = np.arange(m)
         least = ROUNDING * self.size
-        for step in range(1, steps + 1):
+        step = 0
+        while work > 0:
+            step, work = step + 1, work - len(changed)
             rows = self.owner[changed]
             own = rows < n
             last, level = changed[~own], np.inf

@@ -10,7 +10,7 @@ import numpy as np
 
 from clmorph._shared.progress import Share
 from clmorph._shared.typing import Array, ArrayLike, Progress
-from clmorph._shared.validation import check_number, check_progress
+from clmorph._shared.validation import check_integer, check_number, check_progress
 from clmorph.backends.arrays import as_floats
 from clmorph.backends.interface import MAX_DIMENSION, Operations
 from clmorph.backends.multi_device import for_one_solve
@@ -76,6 +76,7 @@ def assignment(
     *,
     weights: ArrayLike | None = None,
     gap: float = 0.0,
+    seed: int = 0,
     backend: Backend = "auto",
     progress: Progress | None = None,
 ) -> Assignment:
@@ -92,6 +93,8 @@ def assignment(
     gap : float
         Share of the bound by which the cost may exceed it. 0 asks for the cheapest assignment: its
         cost is that of `scipy.optimize.linear_sum_assignment`, to the rounding of float64.
+    seed : int
+        Seed of the parts in which far pairs are looked for.
     backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`. The device solves the entropic problem at whose potentials
         the search begins.
@@ -128,6 +131,7 @@ def assignment(
     True
     """
     gap = check_number("gap", gap, 0.0, 1e3)
+    seed = check_integer("seed", seed, 0, 2**32 - 1)
     report = check_progress(progress)
     clouds = _points("x", x), _points("y", y)
     dimensions = clouds[0].shape[1], clouds[1].shape[1]
@@ -148,37 +152,61 @@ def assignment(
     mean = 1.0 if shares is None else float(shares.mean())
     costs = Costs(first, second, None if shares is None else shares / mean)
     operations = for_one_solve(get_backend(backend))
-    found = certified(costs, gap, operations, report)
+    found = certified(costs, gap, operations, seed, report)
     unit = mean if shares is not None else 1.0 / len(first)
     result = _result(found, unit, swapped)
     warn_unless_reached(found, gap)
     return result
 
 
-def certified(costs: Costs, gap: float, operations: Operations, report: Progress) -> Solution:
+def certified(
+    costs: Costs, gap: float, operations: Operations, seed: int, report: Progress
+) -> Solution:
     """Return an assignment from an entropic start; the parameters are checked ones."""
+    if costs.spare or costs.weights is not None:
+        return _scaled(costs, gap, 0.0, operations, seed, report)
+    # With t = mean(x) - mean(y), costs are those of clouds around one point, plus t . (x - y) less
+    # what they are at both means: the best assignment is the same, whatever t is.
+    means = costs.x.mean(axis=0), costs.y.mean(axis=0)
+    x, y, t = costs.x - means[0], costs.y - means[1], means[0] - means[1]
+    constant = len(x) * float(t @ t) / 2
+    found = _scaled(Costs(x, y), gap, constant, operations, seed, report)
+    f, g = found.prices
+    own = np.arange(len(x))
+    cost = float(costs.of_pairs(own, found.columns).sum())
+    bound = found.bound + constant
+    bound -= 16 * np.finfo(float).eps * (np.abs(x @ t).sum() + np.abs(y @ t).sum() + bound)
+    return found._replace(
+        prices=(f + x @ t + t @ t / 2, g - y @ t), cost=cost, bound=min(max(bound, 0.0), cost)
+    )
+
+
+def _scaled(
+    costs: Costs, gap: float, constant: float, operations: Operations, seed: int, report: Progress
+) -> Solution:
+    """Solve in units of the mean cost, so that lengths of any size can be used.
+
+    constant: what each assignment costs besides.
+    """
     scale = costs.scale
     g = np.zeros(len(costs.y))
-    if scale > 0 and len(costs.x) * len(costs.y) > FEW_PAIRS:
-        # In units of the mean cost, so that lengths of any size can be used.
-        unit = Costs(costs.x / scale**0.5, costs.y / scale**0.5, costs.weights)
-        line = unit.x.shape[1] == 1 and not unit.spare and unit.weights is None
-        prices, start = _in_order(unit) if line else (None, None)
-        if prices is None:
-            prices = solve(
-                operations, unit.measures(), regularization(EPSILON**0.5), TOLERANCE, ITERATIONS,
-                "auto", lambda share: report(Share(0.3 * share, "prices")),
-            ).g  # fmt: skip
-        unit_found = solved(
-            unit, prices, EPSILON, gap,
-            lambda share: report(Share(0.3 + 0.7 * share, getattr(share, "note", ""))), start,
-        )  # fmt: skip
-        f, g = (scale * each for each in unit_found.prices)
-        return Solution(
-            unit_found.columns, (f, g), scale * unit_found.cost, scale * unit_found.bound,
-            unit_found.reached,
-        )  # fmt: skip
-    return solved(costs, g, scale, gap, operations, report)
+    if scale <= 0 or len(costs.x) * len(costs.y) <= FEW_PAIRS:
+        return solved(costs, g, scale, gap, seed, report, constant=constant)
+    unit = Costs(costs.x / scale**0.5, costs.y / scale**0.5, costs.weights)
+    line = unit.x.shape[1] == 1 and not unit.spare and unit.weights is None
+    prices, start = _in_order(unit) if line else (None, None)
+    if prices is None:
+        prices = solve(
+            operations, unit.measures(), regularization(EPSILON**0.5), TOLERANCE, ITERATIONS,
+            "auto", lambda share: report(Share(0.3 * share, "prices")),
+        ).g  # fmt: skip
+    found = solved(
+        unit, prices, EPSILON, gap, seed,
+        lambda share: report(Share(0.3 + 0.7 * share, getattr(share, "note", ""))), start,
+        constant / scale,
+    )  # fmt: skip
+    f, g = (scale * each for each in found.prices)
+    return Solution(found.columns, (f, g), scale * found.cost, scale * found.bound, found.reached)
 
 
 def _in_order(costs: Costs) -> tuple[Array, Indices]:

@@ -41,6 +41,36 @@ def test_gradcheck(rng, reach):
     )
 
 
+@pytest.mark.parametrize("reach", [0.4, None])
+def test_double_backward(rng, reach):
+    torch = pytest.importorskip("torch")
+    balanced = reach is None
+    drawn = [arrays(rng, 3, 2, balanced) for _ in range(2)]
+    many = [np.stack(each) for each in zip(*drawn, strict=True)]
+    for given in (drawn[0], many):
+        tensors = [torch.tensor(each) for each in given]
+        for each in tensors[1::2] if balanced else tensors:
+            each.requires_grad_()
+        options = {"blur": 0.3, "reach": reach, "tol": 1e-10, "backend": "numpy"}
+        assert torch.autograd.gradgradcheck(
+            lambda *there, options=options: clmorph.torch.sinkhorn_divergence(*there, **options),
+            tensors, rtol=1e-5,
+        )  # fmt: skip
+
+
+def test_torch_curvature_on_devices(device, rng):
+    torch = pytest.importorskip("torch")
+    a, x, b, y = (torch.tensor(each) for each in arrays(rng))
+    x.requires_grad_()
+    direction = torch.tensor(rng.standard_normal(x.shape))
+    found = []
+    for backend in (device, "numpy"):
+        value = clmorph.torch.sinkhorn_divergence(a, x, b, y, 0.3, 0.5, backend=backend)
+        (slope,) = torch.autograd.grad(value, x, create_graph=True)
+        found.append(torch.autograd.grad(slope, x, direction)[0])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-3 * float(found[1].abs().max()))
+
+
 def test_torch_batches(any_backend, rng):
     torch = pytest.importorskip("torch")
     many = [np.stack(each) for each in zip(arrays(rng), arrays(rng), strict=True)]

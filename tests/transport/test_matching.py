@@ -6,9 +6,9 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 import clmorph
-import clmorph.transport.auction as auction
+import clmorph.transport.assignment_search as search
+import clmorph.transport.pair_costs as pair_costs
 from clmorph.errors import ConvergenceWarning, InputError
-from clmorph.transport.assignment_bound import lower_transform
 
 
 def _costs(x, y, weights=None):
@@ -83,26 +83,43 @@ def test_large_gap_takes_less_and_holds(device):
     _holds(found, x, y, gap=0.05)
 
 
-def test_device_checks_all_pairs(device, monkeypatch):
-    """With many pairs the device bounds the cheapest pair of each row."""
-    monkeypatch.setattr(auction, "MANY_PAIRS", 1)
+@pytest.mark.parametrize("spare", [0, 60])
+def test_without_trees(device, monkeypatch, spare):
+    """In many dimensions all pairs are formed."""
+    monkeypatch.setattr(pair_costs, "TREE_DIMENSION", 0)
     rng = np.random.default_rng(3)
-    for spare in (0, 60):
-        x, y = rng.random((300, 3)), rng.random((300 + spare, 3)) ** 2
-        found = clmorph.assignment(x, y, gap=0.001, backend=device)
-        _holds(found, x, y, gap=0.001)
+    x, y = rng.random((300, 3)), rng.random((300 + spare, 3)) ** 2
+    _holds(clmorph.assignment(x, y, backend=device), x, y)
 
 
-def test_seed_fixes_the_bytes(device):
+@pytest.mark.parametrize("kind", ["clusters", "sites", "far", "one place"])
+def test_hard_problems(kind):
+    """Bids alone would take long: far groups of other sizes, many ties, and clouds far apart."""
+    rng = np.random.default_rng(8)
+    if kind == "clusters":
+        centers = 10 * rng.random((5, 2))
+        x, y = (centers[rng.integers(0, 5, 700)] + 0.01 * rng.random((700, 2)) for _ in range(2))
+    elif kind == "sites":
+        x, y = rng.integers(0, 8, (2, 700, 2)) * 1.0
+    elif kind == "far":
+        x, y = rng.random((600, 3)), rng.random((600, 3)) ** 2 + 1e4
+    else:
+        x, y = np.zeros((600, 2)), np.vstack((np.zeros((400, 2)), np.ones((300, 2))))
+    _holds(clmorph.assignment(x, y, backend="numpy"), x, y)
+
+
+def test_bytes_are_the_same_again(device):
     rng = np.random.default_rng(4)
     x, y = rng.random((500, 4)), rng.random((500, 4))
-    first, second = (clmorph.assignment(x, y, seed=5, backend=device) for _ in range(2))
+    first, second = (clmorph.assignment(x, y, backend=device) for _ in range(2))
     assert first.columns.tobytes() == second.columns.tobytes()
     assert first.prices[1].tobytes() == second.prices[1].tobytes()
 
 
 def test_missed_gap_is_told(monkeypatch):
-    monkeypatch.setattr(auction, "CHECKS", 1)
+    monkeypatch.setattr(search, "CHECKS", 1)
+    monkeypatch.setattr(search, "CANDIDATES", 2)
+    monkeypatch.setattr(search, "BIDS", 2)
     rng = np.random.default_rng(5)
     x, y = rng.random((300, 2)), rng.random((300, 2))
     with pytest.warns(ConvergenceWarning, match=r"% above the cheapest") as caught:
@@ -111,20 +128,6 @@ def test_missed_gap_is_told(monkeypatch):
     assert found.gap > 0
     assert sorted(found.columns) == list(range(300))
     _holds(found, x, y, gap=found.gap)
-
-
-def test_any_prices_and_guess_give_a_bound(device):
-    rng = np.random.default_rng(6)
-    points = rng.random((2, 300, 5))
-    pair = [clmorph.WeightedPoints(each, np.full(300, 1 / 300)) for each in points]
-    operations = clmorph.get_backend(device)
-    for scale, epsilon in ((0.0, 1e-4), (0.1, 1e-7), (10.0, 1e-4)):
-        g = scale * rng.standard_normal(300)
-        exact = (cdist(*points, "sqeuclidean") / 2 - g).min(axis=1)
-        for guess in (None, np.full(300, 5.0)):
-            found = lower_transform(*pair, g, epsilon, operations, guess)
-            assert np.all(found <= exact)
-            assert np.all(found >= exact - epsilon * np.log(300) - 1e-6 * max(1.0, scale))
 
 
 @pytest.mark.parametrize(
