@@ -128,7 +128,7 @@ def _begun(costs: Costs, g: Array, epsilon: float, start: Indices | None) -> Auc
         state = Auction(costs, g, own, start)
         state.take(start)
         return state
-    if costs.spare:
+    if costs.spare and epsilon > 0:
         # The price at which the columns left over would be taken, if one point took them all.
         top = g.max()
         level = top + epsilon * np.log(np.exp((g - top) / epsilon).sum() / costs.spare)

@@ -92,7 +92,7 @@ def test_without_trees(device, monkeypatch, spare):
     _holds(clmorph.assignment(x, y, backend=device), x, y)
 
 
-@pytest.mark.parametrize("kind", ["clusters", "sites", "far", "one place"])
+@pytest.mark.parametrize("kind", ["clusters", "sites", "far", "one place", "one"])
 def test_hard_problems(kind):
     """Bids alone would take long: far groups of other sizes, many ties, and clouds far apart."""
     rng = np.random.default_rng(8)
@@ -103,6 +103,8 @@ def test_hard_problems(kind):
         x, y = rng.integers(0, 8, (2, 700, 2)) * 1.0
     elif kind == "far":
         x, y = rng.random((600, 3)), rng.random((600, 3)) ** 2 + 1e4
+    elif kind == "one":
+        x, y = np.zeros((200, 2)), np.zeros((300, 2))
     else:
         x, y = np.zeros((600, 2)), np.vstack((np.zeros((400, 2)), np.ones((300, 2))))
     _holds(clmorph.assignment(x, y, backend="numpy"), x, y)
