@@ -17,7 +17,8 @@ from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
 from clmorph.frames.fields import Field
-from clmorph.frames.layers import Layers, follow, layer_of
+from clmorph.frames.layers import Layers, follow
+from clmorph.frames.moved_layer import layer_of
 from clmorph.frames.pictures import Pictures
 from clmorph.frames.switching import switched
 

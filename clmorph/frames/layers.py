@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
-from clmorph.frames.fields import Field, affine, blurred, field_of
+from clmorph.frames.fields import Field, affine, field_of
 from clmorph.frames.figures import figures_of
+from clmorph.frames.moved_layer import layer_of
 from clmorph.frames.particles import Particles
-from clmorph.frames.pictures import MET, Layer, Pictures, lightness_of
+from clmorph.frames.pictures import MET, Pictures, lightness_of, thinness
 from clmorph.frames.registration import PATH_ROUNDS, STEPS, Scene
 from clmorph.frames.resampling import reduced
 from clmorph.frames.switching import switched, switching_times
@@ -32,9 +33,6 @@ Float32 = NDArray[np.float32]
 
 #: Points of the stage around a figure in which its edge may be that of the pictures.
 RIM = 2.0
-#: Half of the width up to which a line is thin, as a share of the longer side: one of two thin
-#: lines that do not meet is seen, as their mean is no line.
-THIN = 1 / 64
 #: Half change of color at which both pictures hardly count as equal there.
 EQUAL = 0.2
 
@@ -94,7 +92,7 @@ class Layers:
             first, second = (half.outline for half in halves)
             within = np.maximum(first, second)
             shared = np.clip((np.minimum(first, second) + RIM) / RIM, 0.0, 1.0)
-            self.thin = _thin(within)
+            self.thin = thinness(within)
             self.agreement = self.agreement * np.clip((within + 2 * RIM) / RIM, 0.0, 1.0)
             # Outlines that are apart are seen twice in a mixture.
             near = [np.clip(outline, -2 * RIM, 2 * RIM) for outline in (first, second)]
@@ -143,19 +141,3 @@ def follow(field: Field, stage: Canvas, operations: Operations) -> Float32:
     return operations.follow_paths(
         field.steps(), affine(stage, field.canvas), stage.shape, STEPS, PATH_ROUNDS
     )
-
-
-def layer_of(field: Field, paths: Float32, operations: Operations) -> Layer:
-    """Upload a layer."""
-    change = np.zeros((*field.canvas.shape, 4), np.float32)
-    change[..., :3] = field.change
-    return Layer(field, operations.upload_layer(paths, change))
-
-
-def _thin(distance: Array) -> Array:
-    """Return from 0 to 1 where figures have but thin lines, from their distance in points."""
-    from scipy.ndimage import maximum_filter
-
-    half = THIN * max(distance.shape)
-    widest = maximum_filter(distance, 2 * int(2 * half) + 1)
-    return blurred(np.clip(2.0 - widest / half, 0.0, 1.0), half)

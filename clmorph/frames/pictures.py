@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from functools import lru_cache, reduce
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,9 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.records import LayerView
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
-from clmorph.frames.fields import POINTS, Field, affine, blurred, sampled, slopes
+from clmorph.frames.fields import POINTS, affine, blurred, sampled, slopes
 from clmorph.frames.figures import Figure, beyond
+from clmorph.frames.moved_layer import Layer, led_to
 from clmorph.frames.resampling import reduced
 from clmorph.images.color import from_space, to_space
 
@@ -41,23 +42,23 @@ MET = 1.0
 #: Width of the Gaussian that smooths an outline where both pictures count alike, twice: a share of
 #: the longer side, and at least some pixels.
 OUTLINE, NARROWEST = 0.006, 1.2
+#: Points of the stage by which layers' outlines differ where their mean is smoothed more: by so
+#: many such widths, which fade at the ends of a film by so much.
+ROUGH, ROUGH_WIDTH, FADING = 6.0, 3.0, 3.0
+#: Points of the stage by which outlines may differ where pictures agree at another time.
+NEAR = 2.0
 #: Width, as a share of the longer side, over which pictures with a ground are continued beyond
 #: their borders. Others are mirrored there.
 MARGIN = 1 / 8
 #: By how much the mean of two distances, halfway, may be made steeper.
 STEEPER = 1.5
-#: Pixels along the longer side by which figures are compared, and over how many of them a layer
-#: stops being seen beyond its own figure.
-COVER_PIXELS, COVER = 256, 2.0
+#: Half of the width up to which a line is thin, as a share of the longer side: one of two thin
+#: lines that do not meet is seen, as their mean is no line.
+THIN = 1 / 64
+#: Points of the stage over which a layer stops being seen beyond its own figure.
+COVER = 2.0
 #: Agreement below this is none.
 FAINT = 0.01
-
-
-class Layer(NamedTuple):
-    """What moves one picture; the handle is that of `Operations.upload_layer`."""
-
-    field: Field
-    handle: Any
 
 
 class Channels:
@@ -162,6 +163,7 @@ class Pictures:
         #: Whether frames have opacity.
         self.clear = any(end.alpha is not None for end in ends)
         self.stage = stage_of(canvases)
+        self._per_unit = max(*self.stage.scale, 1e-9)
         #: The pictures, those whose figures are continued, and those that are sampled by name.
         self.own = [_single(to_space(end.colors, space)) for end in ends]
         self.continued = self.own
@@ -232,7 +234,7 @@ class Pictures:
         For each picture `layers` has its layer, `ways` the share of its way that it has gone,
         `shares` its share in the frame, and `weights`, (h, w), how much of it is seen at each place
         of the stage; shares and weights have the sum 1. `agreement` and `thin`, (h, w), are how far
-        all pictures agree there, and how far figures are but thin lines, from 0 to 1.
+        all pictures agree there, and how far figures are but thin lines halfway, from 0 to 1.
         """
         even = [np.full(self.stage.shape, share) for share in shares]
 
@@ -251,33 +253,50 @@ class Pictures:
             low = MEAN_SHARE * blurred(apart.astype(float), LOW * max(coarse.shape))
             low[..., 3] = 0.0
             return self._shown(drawn("own", weights, canvas, low)[..., :3])
-        covered = self._where_covered(layers, ways, shares, weights, canvas)
+        unit = max(*canvas.scale, 1e-9)
+        distances = self._distances(layers, ways)
+        covered = _where_covered(distances, shares, weights)
+        thin = thin * thinness(np.max(distances, axis=0))
         lines = [each + thin * (weight - each) for each, weight in zip(even, weights, strict=True)]
         figure = drawn("figure", covered, canvas, fourth=lines).astype(float)
         area = float(np.dot(shares, self._areas))
         softness = float(np.dot(shares, [each.softness for each in self.figures]))
         most = np.inf if any(each.pure.all() for each in self.figures) else LEVEL
-        unit = max(*canvas.scale, 1e-9)
         # Outlines of both layers that nearly meet are drawn as one smooth line, ends as they are.
-        width = max(NARROWEST, OUTLINE * max(canvas.shape)) * (1.0 - float(max(shares)))
-        width *= self.smoothing
+        whole_width = max(NARROWEST, OUTLINE * max(canvas.shape)) * self.smoothing
+        width = whole_width * (1.0 - float(max(shares)))
+        places = self.stage.places(canvas.positions())
         distance = blurred(figure[..., 3], width)
+        # Where they are far apart, their mean has the tears of both.
+        rough = np.clip(blurred(np.ptp(distances, axis=0), 2.0) / ROUGH, 0.0, 1.0) * (1.0 - thin)
+        rough = sampled(rough[..., None], places)[..., 0]
+        wide = ROUGH_WIDTH * whole_width * min(1.0, FADING * (1.0 - float(max(shares))))
+        distance += rough * (blurred(figure[..., 3], wide) - distance)
         # Where both layers differ, the mean has slopes unlike 1, with which its edge would be soft.
         slope = np.hypot(*slopes(distance * unit))
         least = 1.0 - STEEPER * (1.0 - float(max(shares))) * self.smoothing
         edge = softness / unit * np.clip(slope, least, 1.0)
         level, opaque = _inside(distance, area, edge, most)
-        opaque = opaque[..., None]
+        opaque, colors = opaque[..., None], figure[..., :3]
+        if self.smoothing > 0.0 and max(shares) < 1.0:
+            outline = sampled((distance - level)[..., None], canvas.places(self.stage.positions()))
+            outline = outline[..., 0] * self._per_unit
+            led = [
+                led_to(layer, own, outline, way, self.stage, self._operations)
+                for layer, own, way in zip(layers, distances, ways, strict=True)
+            ]
+            colors = self._drawn("figure", led, ways, covered, even, canvas, None)[..., :3]
         if "alpha" in self._channels:
             opaque = opaque * np.clip(drawn("alpha", weights, canvas)[..., 3:], 0, 1)
         ground, alpha = self._ground(shares)
         whole = opaque + (1 - opaque) * alpha
-        colors = opaque * figure[..., :3] + (1 - opaque) * alpha * ground
+        colors = opaque * colors + (1 - opaque) * alpha * ground
         colors = colors / np.maximum(whole, 1e-6)
         if agreement.max() > FAINT:
             # What agrees is a warp of both pictures, with the edges that they have.
             own = drawn("own", even, canvas)
-            seen = sampled(agreement[..., None], self.stage.places(canvas.positions()))
+            meet = np.exp(-((np.ptp(np.clip(distances, -2 * NEAR, 2 * NEAR), axis=0) / NEAR) ** 2))
+            seen = sampled((agreement * meet)[..., None], places)
             # Where the area asks for another outline, the pictures' own ones would be halos.
             seen = seen * np.exp(-((level * unit / MET) ** 2))
             colors = colors + seen * (own[..., :3] - colors)
@@ -286,36 +305,16 @@ class Pictures:
         frame = self._shown(colors)
         return np.dstack((frame, np.clip(whole, 0.0, 1.0))) if self.clear else frame
 
-    def _where_covered(
-        self,
-        layers: Sequence[Layer],
-        ways: Sequence[float],
-        shares: Sequence[float],
-        weights: Sequence[Array],
-        canvas: Canvas,
-    ) -> list[Array]:
-        """Return weights by which no layer is seen beyond its own figure where another has one."""
-        coarse = canvas.reduced(COVER_PIXELS)
-        none = [np.zeros_like(weight) for weight in weights]
-        short = []
+    def _distances(self, layers: Sequence[Layer], ways: Sequence[float]) -> list[Array]:
+        """Return the signed distance from each layer's outline, in points of the stage."""
+        zero, one = np.zeros(self.stage.shape), np.ones(self.stage.shape)
+        found = []
         for number in range(len(layers)):
-            alone = [np.full_like(e, other == number) for other, e in enumerate(none)]
-            distance = self._drawn("figure", layers, ways, none, alone, coarse, None)[..., 3]
-            short.append(np.minimum(distance * max(*coarse.scale, 1e-9), 0.0))
-        nearest = np.max(short, axis=0)
-        places = coarse.places(self.stage.positions())
-        covers = [
-            sampled(np.clip(1 + (each - nearest) / COVER, 0, 1)[..., None], places)[..., 0]
-            for each in short
-        ]
-        # What a layer does not show goes to those that have a figure there.
-        left = 1.0 - sum(w * cover for w, cover in zip(weights, covers, strict=True))
-        parts = [share * cover for share, cover in zip(shares, covers, strict=True)]
-        total = np.maximum(sum(parts), np.finfo(float).tiny)
-        return [
-            weight * cover + left * part / total
-            for weight, cover, part in zip(weights, covers, parts, strict=True)
-        ]
+            alone = [one if other == number else zero for other in range(len(layers))]
+            none = [zero] * len(layers)
+            drawn = self._drawn("figure", layers, ways, none, alone, self.stage, None)
+            found.append(drawn[..., 3].astype(float) * self._per_unit)
+        return found
 
     def _shown(self, colors: NDArray[np.floating]) -> Array:
         """Return colors of the path as sRGB."""
@@ -369,6 +368,32 @@ class Pictures:
 def _single(image: Array) -> Any:
     """Return an image in float32: large pictures are held for as long as the film is."""
     return image.astype(np.float32)
+
+
+def _where_covered(
+    distances: Sequence[Array], shares: Sequence[float], weights: Sequence[Array]
+) -> list[Array]:
+    """Return weights by which no layer is seen beyond its own figure where another has one."""
+    short = [np.minimum(distance, 0.0) for distance in distances]
+    nearest = np.max(short, axis=0)
+    covers = [np.clip(1 + (each - nearest) / COVER, 0, 1) for each in short]
+    # What a layer does not show goes to those that have a figure there.
+    left = 1.0 - sum(w * cover for w, cover in zip(weights, covers, strict=True))
+    parts = [share * cover for share, cover in zip(shares, covers, strict=True)]
+    total = np.maximum(sum(parts), np.finfo(float).tiny)
+    return [
+        weight * cover + left * part / total
+        for weight, cover, part in zip(weights, covers, parts, strict=True)
+    ]
+
+
+def thinness(distance: Array) -> Array:
+    """Return from 0 to 1 where figures have but thin lines, from their distance in points."""
+    from scipy.ndimage import maximum_filter
+
+    half = THIN * max(distance.shape)
+    widest = maximum_filter(distance, 2 * int(2 * half) + 1)
+    return blurred(np.clip(2.0 - widest / half, 0.0, 1.0), half)
 
 
 def _inside(

@@ -8,7 +8,11 @@ from scipy.ndimage import binary_erosion, gaussian_filter, label
 
 import clmorph
 from clmorph import InputError, MorphOptions
+from clmorph.backends.numpy import NumPyOperations
 from clmorph.frames import pictures, sprites
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.fields import Field
+from clmorph.frames.moved_layer import layer_of, led_to
 
 TIMES = (0.0, 0.02, 0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9, 0.98, 1.0)
 SMALL = {"solve_size": 32, "n_frames": 3}
@@ -142,6 +146,22 @@ class TestLogos:
         ]
         assert sum(parts) < 24  # means of both lines fall into 31
 
+    def test_thick_strokes_keep_smooth_outlines(self, device):
+        """Where strokes do not meet, the mean of their distances has no tears."""
+        pair = []
+        for way in (((30, 200), (60, 50), (128, 180), (196, 50), (226, 200)),
+                    ((20, 50), (70, 200), (128, 70), (186, 200), (236, 50))):  # fmt: skip
+            image = Image.new("L", (256, 256), 255)
+            ImageDraw.Draw(image).line(way, fill=0, width=24, joint="curve")
+            pair.append(np.dstack([np.asarray(image) / 255] * 3))
+        morph = clmorph.morph(*pair, backend=device, preset="logo", landmarks=None)
+        rims = []
+        for t in (0.0, 0.25, 0.5, 0.75, 0.875, 1.0):
+            ink = morph.frame(t)[..., 0] < 0.5
+            rims.append(sum(int(np.diff(ink, axis=axis).sum()) for axis in (0, 1)))
+            assert label(ink)[1] == 1
+        assert max(rims[1:-1]) < max(rims[0], rims[-1])  # 1.06 times as long with tears
+
     def test_nothing_comes_from_beyond_a_border(self, device):
         """A figure near the border is not mirrored there when its canvas grows."""
         first, last = np.ones((40, 64, 3)), np.ones((64, 64, 3))
@@ -206,6 +226,23 @@ class TestLogos:
         assert white[0] == 0
         assert np.all(np.diff(white) > -0.02)
         assert white[-1] == pytest.approx(1 - np.pi * 0.22**2, abs=0.03)
+
+
+def test_outlines_lead_their_layers():
+    """What stands at a layer's outline is led to that of the frame, over gaps of any sign."""
+    operations, stage = NumPyOperations(), Canvas((96, 96), (95.0, 95.0))
+    y, x = np.indices(stage.shape) - 47.5
+    own = 25.0 - np.hypot(y, x)
+    still = np.zeros((2, 96, 96, 2), np.float32)
+    layer = layer_of(Field(np.zeros((96, 96, 2)), np.zeros((96, 96, 3)), stage), still, operations)
+    for gap in (-3.0, 3.0, 0.2):
+        outline = own + gap
+        led = led_to(layer, own, outline, 0.5, stage, operations)
+        moved = led.moved(0.5)
+        shown = 25.0 - np.hypot(y + moved[..., 0], x + moved[..., 1])
+        apart = np.abs(shown - outline)[np.abs(outline) < 1.5]
+        assert apart.max() < (abs(gap) / 3 if abs(gap) > 1 else 0.25)
+        assert np.abs(moved[40:56, 40:56]).max() < 0.2  # the inside stays
 
 
 class TestSprites:
