@@ -2,7 +2,7 @@
 
     python tools/bench_assignment.py [--device intel] [--sizes 4096 10000] [--repeats 1]
 
-Points are uniform in 5D, and pixels of two of scikit-image's pictures in position and color. The
+Points are uniform in 5D and in 2D, and pixels of two of scikit-image's pictures in position and color. The
 time of SciPy includes that of the matrix of costs; the time of clmorph includes everything but a
 first small problem, which builds the kernels.
 
@@ -60,12 +60,13 @@ def main() -> None:
     rng = np.random.default_rng(0)
     clmorph.assignment(rng.random((300, 5)), rng.random((300, 5)), backend=options.device)
     for n in options.sizes:
-        clouds = rng.random((n, 5)), rng.random((n, 5))
-        compared("uniform", *clouds, options.device, options.repeats)
+        for dimension in (5, 2):
+            clouds = rng.random((n, dimension)), rng.random((n, dimension))
+            compared(f"uniform {dimension}D", *clouds, options.device, options.repeats)
         compared("pictures", *pictures(n), options.device, options.repeats)
     if options.rectangular:
         clouds = rng.random((6_667, 5)), rng.random((13_333, 5))
-        compared("uniform", *clouds, options.device, options.repeats)
+        compared("uniform 5D", *clouds, options.device, options.repeats)
 
 
 if __name__ == "__main__":
