@@ -2,7 +2,8 @@
 
     python tools/bench_assignment.py [--device intel] [--sizes 4096 10000] [--repeats 1]
 
-Points are uniform in 5D and in 2D, and pixels of two of scikit-image's pictures in position and color. The
+Points are uniform in 5D and in 2D, and pixels of two of scikit-image's pictures in position and
+color. The
 time of SciPy includes that of the matrix of costs; the time of clmorph includes everything but a
 first small problem, which builds the kernels.
 
