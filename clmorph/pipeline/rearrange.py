@@ -30,6 +30,7 @@ from clmorph.transport.block_potentials import transport_pixels
 from clmorph.transport.matching import warn_unless_reached
 from clmorph.transport.pair_costs import Costs, Indices
 from clmorph.transport.plan import Plan
+from clmorph.transport.plan_search import plan_search
 
 #: Length scale of the entropic plan from which the search begins, and its tolerance.
 BLUR, TOLERANCE = 0.025, 0.5
@@ -117,9 +118,11 @@ def arranged(
         *blocks, blur, TOLERANCE, operations, lambda share: report("transport", share)
     )
     potentials = found.potentials
+    costs, epsilon = Costs(source.points, target.points), potentials.epsilon
     solution = solved(
-        Costs(source.points, target.points), potentials.g, potentials.epsilon, options.gap,
-        options.seed, lambda share: report("pixels", share),
+        costs, potentials.g, epsilon, options.gap, options.seed,
+        lambda share: report("pixels", share),
+        plans=plan_search(costs, epsilon, options.gap, operations, options.seed),
     )  # fmt: skip
     warn_unless_reached(solution, options.gap)
     assignment, n_pixels = solution.columns, len(source)

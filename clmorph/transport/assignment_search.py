@@ -19,6 +19,7 @@ from clmorph._shared.progress import Report, Share
 from clmorph._shared.typing import Array
 from clmorph.transport.auction import ROUNDING, Auction, few
 from clmorph.transport.pair_costs import Costs, Indices
+from clmorph.transport.plan_search import PlanSearch
 
 #: With at most this many pairs, all of them are candidates.
 FEW_PAIRS = 1 << 14
@@ -32,6 +33,8 @@ SMALL, LINES = 2.0**-6, 20
 #: Groups into which points are parted, again and again, for pairs that are far apart, and how many
 #: of these each row gets at a time.
 PARTS, FAR = 16, 4
+#: Rows that are searched after a check on the device.
+MOST_SEARCHED = 1 << 13
 #: By how much increments become larger after too many bids.
 LARGER = 4.0
 #: Share of rows that find cheaper pairs beyond which all points get new candidates.
@@ -63,15 +66,17 @@ def solved(
     report: Report = lambda share: None,
     start: Indices | None = None,
     constant: float = 0.0,
+    plans: PlanSearch | None = None,
 ) -> Solution:
     """Return an assignment whose cost is at most (1 + gap) times its bound, if that is reached.
 
     g: (M,) prices at which the search begins, such as entropic potentials; epsilon: theirs, in cost
     units; gap: 0 asks for the cheapest assignment, to rounding; seed: of far pairs; start: (N,)
     columns of an assignment at which it begins in place of bids, with N = M; constant: what each
-    assignment costs besides, of which the gap is a share as well.
+    assignment costs besides, of which the gap is a share as well; plans: search
+    of pairs that are too many for the host, whose bounds prove gaps above 0.
     """
-    state = _begun(costs, g, epsilon, start)
+    state = _begun(costs, g, epsilon, start, plans)
     n, m = len(costs.x), len(costs.y)
     found, first = Solution(np.arange(n), (g[:n], g), np.inf, -np.inf, False), np.inf
     failed, increment, settled = 0, INCREMENT * epsilon, start is not None
@@ -86,8 +91,13 @@ def solved(
             if failed > ATTEMPTS and state.taken.min() < 0:
                 state.complete()
                 settled = True
-        f, undercut, by = _checked(state)
-        if not proven or undercut > MANY * n:
+        if plans is None:
+            f, undercut, by = _checked(state)
+        else:
+            f, undercut, by = _bounded(
+                state, plans, increment, np.random.default_rng(seed + number)
+            )
+        if plans is None and (not proven or undercut > MANY * n):
             state.add(*_far(costs, state.g, np.random.default_rng(seed + number)))
         bound = state.bound(f)
         if bound > found.bound:
@@ -101,9 +111,11 @@ def solved(
         above = found.cost - bound
         first, enough = min(first, above), gap * (bound + constant)
         report(Share(_share(above, first, enough), f"gap {_gap(found):.1e}"))
-        if above <= enough or (proven and settled and not undercut):
+        if above <= enough or (proven and settled and not undercut and plans is None):
             found = found._replace(reached=True)
             break
+        if proven and settled and not undercut:
+            plans = None  # bounds on the device are lower than what is left of the gap
         # If shortest paths are too long from here, bids rise from what prices are off by.
         increment = max(increment, min(by / 4, INCREMENT * epsilon))
         settled = undercut <= MANY * n and (settled or (proven and not undercut))
@@ -120,7 +132,9 @@ def solved(
     )  # fmt: skip
 
 
-def _begun(costs: Costs, g: Array, epsilon: float, start: Indices | None) -> Auction:
+def _begun(
+    costs: Costs, g: Array, epsilon: float, start: Indices | None, plans: PlanSearch | None
+) -> Auction:
     """Return an auction with its first candidates."""
     n, m = len(costs.x), len(costs.y)
     own = np.arange(n)
@@ -135,6 +149,8 @@ def _begun(costs: Costs, g: Array, epsilon: float, start: Indices | None) -> Auc
         g = np.minimum(g, level)
     if n * m <= FEW_PAIRS:
         return Auction(costs, g, *(each.ravel() for each in np.indices((n, m))))
+    if plans is not None:
+        return Auction(costs, g, *plans.candidates(g))
     return Auction(costs, g, *_candidates(costs, g))
 
 
@@ -220,6 +236,24 @@ def _checked(state: Auction) -> tuple[Array, int, float]:
         rows, columns = np.repeat(undercut, columns.shape[1]), columns.ravel()
     state.add(np.append(rows, undercut), np.append(columns, nearest[undercut]))
     return f, len(undercut), float((before - f)[undercut].mean())
+
+
+def _bounded(
+    state: Auction, plans: PlanSearch, increment: float, rng: np.random.Generator
+) -> tuple[Array, int, float]:
+    """Return what `_checked` does from bounds on the device; at most some rows are searched."""
+    before = state.cheapest()
+    f, lost = plans.below(state.g, before, increment)
+    undercut = np.flatnonzero(f < before - max(increment / 2, lost))
+    if not len(undercut):
+        return f, 0, 0.0
+    by = float((before - f)[undercut].mean())
+    some = undercut
+    if len(some) > MOST_SEARCHED:
+        some = rng.choice(undercut, MOST_SEARCHED, replace=False)
+    columns = state.costs.cheapest(0, state.g, MORE, some)
+    state.add(np.repeat(some, columns.shape[1]), columns.ravel())
+    return f, len(undercut), by
 
 
 def _gap(found: Solution) -> float:

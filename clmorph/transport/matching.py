@@ -19,6 +19,7 @@ from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.points import as_measure
 from clmorph.transport.assignment_search import FEW_PAIRS, Solution, solved
 from clmorph.transport.pair_costs import Costs, Indices
+from clmorph.transport.plan_search import plan_search
 from clmorph.transport.regularization import regularization
 from clmorph.transport.sinkhorn import solve
 
@@ -200,10 +201,11 @@ def _scaled(
             operations, unit.measures(), regularization(EPSILON**0.5), TOLERANCE, ITERATIONS,
             "auto", lambda share: report(Share(0.3 * share, "prices")),
         ).g  # fmt: skip
+    plans = None if start is not None else plan_search(unit, EPSILON, gap, operations, seed)
     found = solved(
         unit, prices, EPSILON, gap, seed,
         lambda share: report(Share(0.3 + 0.7 * share, getattr(share, "note", ""))), start,
-        constant / scale,
+        constant / scale, plans,
     )  # fmt: skip
     f, g = (scale * each for each in found.prices)
     return Solution(found.columns, (f, g), scale * found.cost, scale * found.bound, found.reached)

@@ -1,5 +1,7 @@
 """`clmorph.assignment`: the cheapest assignment and its proof, against SciPy's exact solver."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
@@ -8,6 +10,7 @@ from scipy.spatial.distance import cdist
 import clmorph
 import clmorph.transport.assignment_search as search
 import clmorph.transport.pair_costs as pair_costs
+import clmorph.transport.plan_search as plan_search
 from clmorph.errors import ConvergenceWarning, InputError
 
 
@@ -81,6 +84,22 @@ def test_large_gap_takes_less_and_holds(device):
     found = clmorph.assignment(x, y, gap=0.05, backend=device)
     assert found.gap <= 0.05
     _holds(found, x, y, gap=0.05)
+
+
+@pytest.mark.parametrize("kind", ["random", "weights", "ties", "same"])
+def test_many_pairs_are_searched_on_the_device(device, monkeypatch, kind):
+    """Drawn candidates, and bounds of sums over all pairs, prove what trees prove."""
+    monkeypatch.setattr(plan_search, "MANY_PAIRS", 1)
+    rng = np.random.default_rng(6)
+    x, y = rng.random((400, 3)), rng.random((400, 3)) ** 2
+    weights = rng.random(400) + 0.1 if kind == "weights" else None
+    if kind == "ties":
+        x, y = np.round(9 * x), np.round(9 * y)
+    elif kind == "same":
+        y = x[rng.permutation(400)]
+    with warnings.catch_warnings(action="error", category=ConvergenceWarning):
+        found = clmorph.assignment(x, y, weights=weights, gap=0.01, backend=device)
+    _holds(found, x, y, weights, gap=0.01)
 
 
 @pytest.mark.parametrize("spare", [0, 60])
