@@ -178,7 +178,9 @@ def certified(
     bound = found.bound + constant
     bound -= 16 * np.finfo(float).eps * (np.abs(x @ t).sum() + np.abs(y @ t).sum() + bound)
     return found._replace(
-        prices=(f + x @ t + t @ t / 2, g - y @ t), cost=cost, bound=min(max(bound, 0.0), cost)
+        prices=(f + x @ t + t @ t / 2, g - y @ t),
+        cost=cost,
+        bound=float(min(max(bound, 0.0), cost)),
     )
 
 
