@@ -14,8 +14,7 @@
 
 #include "common.cl"
 
-__kernel __attribute__((vec_type_hint(float4)))
-void apply_table(
+__kernel void apply_table(
     const uint first, const uint end, const int nodes, // nodes: N >= 2
     const __global float4* restrict table,             // (N, N, N); .w is not used
     const __global float* restrict colors,             // (end, 3)
