@@ -250,6 +250,20 @@ def test_environment_variables(device, monkeypatch):
         clmorph.get_backend("auto")
 
 
+@pytest.mark.parametrize(("value", "disabled"), [("1", True), ("YES", True), ("0", False)])
+def test_pyopencl_no_cache(monkeypatch, value, disabled):
+    monkeypatch.setenv("PYOPENCL_NO_CACHE", value)
+    assert runtimes.is_uncached() is disabled
+
+
+@pytest.mark.parametrize("value", ["", "maybe"])
+def test_pyopencl_no_cache_without_a_truth_value(monkeypatch, value):
+    """In a new process the import of pyopencl itself would end in a traceback."""
+    monkeypatch.setenv("PYOPENCL_NO_CACHE", value)
+    with pytest.raises(DeviceError, match=f"PYOPENCL_NO_CACHE='{value}': .* set it to 1 or 0"):
+        runtimes.list_platforms()
+
+
 @pytest.mark.needs_device
 def test_the_probe_finds_a_working_device():
     verdict = run_probe(TESTED[0].index)

@@ -2,7 +2,6 @@
 
 import functools
 import hashlib
-import os
 import pickle
 import re
 import sqlite3
@@ -14,6 +13,7 @@ import platformdirs
 import pyopencl as cl
 
 from clmorph.backends.opencl.devices.cache import read_cached, write_cached
+from clmorph.backends.opencl.devices.runtimes import is_uncached
 from clmorph.backends.opencl.devices.verdicts import cpu_identity
 from clmorph.errors import DeviceError
 
@@ -157,7 +157,7 @@ _DIGEST_BYTES = 32
 
 def _binary_file(device: cl.Device, name: str, options: list[str]) -> str | None:
     """Return the name of a build in the cache; None if the user has disabled caching."""
-    if os.environ.get("PYOPENCL_NO_CACHE"):
+    if is_uncached():
         return None
     return f"kernels/{_build_key(device, name, options)}.bin"
 

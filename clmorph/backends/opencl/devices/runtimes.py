@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clmorph._shared.signals import undisturbed
+from clmorph._shared.validation import shown
+from clmorph.errors import DeviceError
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -21,6 +23,19 @@ if TYPE_CHECKING:
 #: The first entry of the table of a driver that follows cl_khr_icd 2.0. Calls to such a driver fail
 #: unless a loader of the same version has initialized it.
 _MANAGED_BY_LOADER = 0x4F50454E434C3331
+
+
+def is_uncached() -> bool:
+    """Return what ``PYOPENCL_NO_CACHE`` says; pyopencl cannot be imported with other words."""
+    value = os.environ.get("PYOPENCL_NO_CACHE", "0")
+    if value.lower() in ("y", "yes", "t", "true", "on", "1"):
+        return True
+    if value.lower() in ("n", "no", "f", "false", "off", "0"):
+        return False
+    raise DeviceError(
+        f"PYOPENCL_NO_CACHE={shown(value)}: pyopencl expects a truth value; set it to 1 or 0, or "
+        "unset it"
+    )
 
 
 def intel_runtime() -> Path | None:
@@ -43,6 +58,7 @@ def list_platforms() -> list["cl.Platform"]:
 
     If the user has set ``OCL_ICD_VENDORS``, only the loader's platforms are listed.
     """
+    is_uncached()
     with undisturbed():  # an exception from a signal handler during the call aborts the process
         import pyopencl as cl
 
