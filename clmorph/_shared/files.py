@@ -58,7 +58,7 @@ def check_place(target: str | PathLike[str]) -> Path:
         place = Path(target).resolve()
         special = place.exists() and not (place.is_file() or place.is_dir())
     except (OSError, RuntimeError, ValueError) as error:
-        raise OutputError(f"{target}: there is no such place ({reason_of(error)})") from None
+        raise OutputError(f"{target}: this place does not exist ({reason_of(error)})") from None
     if special:
         raise OutputError(f"{target} is neither a file nor a folder; choose another place")
     if not place.parent.is_dir():

@@ -140,7 +140,7 @@ def path_divergence(
     check_choice("to", to, REFERENCES)
     report = check_progress(progress)
     if morph.source.has_metric_map:
-        raise InputError("a cost with a metric for each source pixel is no distance")
+        raise InputError("a cost with a metric for each source pixel is not a distance")
     blur = morph.potentials.blur if blur is None else blur
     given = regularization(blur, morph.potentials.reach if reach is None else reach)
     own_reach = given.reach

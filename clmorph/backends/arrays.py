@@ -163,4 +163,4 @@ def _from_objects(name: str, array: AnyArray, value: Any, expected: str) -> AnyA
 
 def _no_array(name: str, value: Any, expected: str) -> InputError:
     what = printable(type(value).__name__)
-    return InputError(f"{name} is a {what}, which is no array of numbers: expected {expected}")
+    return InputError(f"{name} is a {what}, which is not an array of numbers: expected {expected}")

@@ -89,7 +89,7 @@ def read_jobs(place: str, defaults: Defaults) -> list[Job]:
         raise FileError(f"{place}: not UTF-8; save the table as UTF-8") from None
     rows = list(_csv_rows(place, text) if ending == "csv" else _json_rows(place, text))
     if not rows:
-        raise FileError(f"{place}: no jobs in it; expected rows of {', '.join(COLUMNS)}")
+        raise FileError(f"{place}: it holds no jobs; expected rows of {', '.join(COLUMNS)}")
     base = _folder_of(place)
     jobs = [_job(where, row, options, base, defaults) for where, row, options in rows]
     return checked(jobs, defaults.folder)

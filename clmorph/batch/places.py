@@ -89,7 +89,7 @@ def local_output(place: str) -> Iterator[Path]:
         try:
             Path(place).parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise OutputError(f"{place}: no folder for it ({reason_of(error)})") from None
+            raise OutputError(f"{place}: its folder cannot be made ({reason_of(error)})") from None
         yield Path(place)
         return
     with tempfile.TemporaryDirectory(prefix="clmorph-") as folder:

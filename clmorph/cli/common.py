@@ -152,8 +152,8 @@ def recipe_places(outputs: Sequence[Path]) -> list[Path]:
     for output in outputs:
         if is_standard_output(output):
             raise OutputError(
-                "--recipe writes beside a file, and standard output is none: leave it out, or name "
-                "a file"
+                "--recipe writes a file beside the output, and standard output is not a file: "
+                "leave it out, or name a file"
             )
         # Paths without a name, such as ``.``, are resolved.
         named = output if output.name not in ("", "..") else output.resolve()

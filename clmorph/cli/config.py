@@ -65,7 +65,7 @@ class Named:
             if not (self.own or is_bare(name)):
                 raise InputError(
                     f"{self.file} names the picture {shown(name)}: a recipe may name "
-                    "pictures beside it or in the current folder, without any folder; name the "
+                    "pictures beside it or in the current folder, without a folder; name the "
                     "pictures in the command line"
                 )
             found.append((self._sought(name), digest))

@@ -161,7 +161,9 @@ def check_devices(
     devices = _choose(spec, every, even_wrong=spec is not None)
     if report is not None:
         if is_standard_output(report):
-            raise OutputError("--report is a file, beside the lines that are printed; name one")
+            raise OutputError(
+                "--report needs the name of a file, because the table is printed to standard output"
+            )
         check_file_place(report)  # before the comparison begins
     bundles = [_check_one(device, kernels) for device in devices]
     if report is not None:

@@ -40,11 +40,11 @@ if TYPE_CHECKING:
 
 #: Meanings of the exit codes; the help shows them.
 EXIT_CODES = """\
-Exit codes: 0 done; 1 no device is usable (devices), one is out of tolerance (check), or a pair
-has failed (batch);
-2 a mistake in the command line, in a file or in the choice of device, reported in one line;
-130 interrupted, 143 terminated (129 at a hangup): either nothing was written or all files
-were, as the last line on standard error says.
+Exit codes: 0: the command has done its work; 1: no device is usable (devices), a device is out of
+tolerance (check), or a pair has failed (batch); 2: the command line, a file or the choice of
+device has a mistake, which one line reports; 130: interrupted, 143: terminated, 129: hung up.
+An interrupted command has written either nothing or all files, as its last line on standard error
+says.
 """
 
 
@@ -75,7 +75,7 @@ def _print_version(context: click.Context, parameter: click.Parameter, wanted: b
     is_eager=True,
     expose_value=False,
     callback=_print_version,
-    help="Versions of clmorph, of what it builds on, and of the OpenCL drivers.",
+    help="Show the versions of clmorph, of its libraries, and of the OpenCL drivers.",
 )
 def cli() -> None:
     """Morph one picture into another by unbalanced optimal transport.
@@ -113,8 +113,8 @@ def _config_option(read: Reader, *, preset: bool = False) -> Callable[[Any], Any
 
     return click.option(
         "--config", type=options.InputName(), is_eager=True, callback=settings, panel="Settings",
-        help="Read options from your own TOML, or repeat a recipe: .json, or a file that clmorph "
-        "wrote; its pictures are sought beside it and in the current folder.",
+        help="Read options from a TOML file, or repeat a run from its recipe (.json) or a file "
+        "that clmorph wrote; the pictures are searched for beside it and in the current folder.",
     )  # fmt: skip
 
 

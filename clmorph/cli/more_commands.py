@@ -50,11 +50,11 @@ def counted(images: Sequence[Path]) -> str:
 @click.option("--json", "as_json", is_flag=True, panel="File", help="Print a summary for programs.")
 @click.option(
     "--config", type=options.FileName(), panel="Settings",
-    help="Options of all pairs, from your own TOML or a recipe; a row's own options win.",
+    help="Options of all pairs, from a TOML file or a recipe; options of a row take precedence.",
 )  # fmt: skip
 @click.option(
     "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Settings",
-    help="Set of options of pairs that name none.  [default: auto, for each pair by itself]",
+    help="Preset of pairs that name none.  [default: auto, for each pair by itself]",
 )  # fmt: skip
 @click.option(
     "--scheduler", metavar="ADDRESS", panel="Workers",
@@ -120,7 +120,7 @@ def batch(
 )
 @click.option(
     "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Transport",
-    help="Set of options for a kind of pictures; see below.  [default: auto]",
+    help="Set of options for a kind of pictures, described below.  [default: auto]",
 )  # fmt: skip
 @options.inspect_options
 @options.map_options
@@ -158,18 +158,19 @@ def inspect(
 @click.command()
 @click.option(
     "--host", metavar="ADDRESS", default="127.0.0.1", show_default=True,
-    help="Where to listen; any other than this machine's own address needs the token that is "
-    "printed.",
+    help="Address to listen on; from other machines the page needs the token that is printed.",
 )  # fmt: skip
 @click.option(
-    "--port", type=click.IntRange(0, 65535), help="Port; 0: a free one.  [default: 8017, or free]"
+    "--port",
+    type=click.IntRange(0, 65535),
+    help="Port to listen on; 0: a free one.  [default: 8017, or a free one]",
 )
 @click.option("--browser/--no-browser", default=True, help="Open the page in a browser.")
 @options.device_options
 def studio(
     host: str, port: int | None, browser: bool, device: str | None, backend: str | None
 ) -> None:
-    """Open a local web page to look rather than type (extra "studio").
+    """Open a local web page that does the work of these commands (extra "studio").
 
     \b
     clmorph studio                       http://127.0.0.1:8017/, for this machine alone
@@ -183,7 +184,7 @@ def studio(
 @click.command()
 @click.argument("folder", metavar="PATH_TO_COMFYUI", type=options.FileName())
 def comfyui(folder: Path) -> None:
-    """Add clmorph's nodes to ComfyUI: a folder of one line in its custom_nodes.
+    """Add clmorph's nodes to ComfyUI, by a folder in its custom_nodes.
 
     \b
     clmorph comfyui ~/ComfyUI
@@ -213,7 +214,7 @@ def demo(device: str | None, backend: str | None) -> None:
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="For programs.")
+@click.option("--json", "as_json", is_flag=True, help="Print the list for programs, as JSON.")
 @click.option("--again", is_flag=True, help="Try every device anew, and forget what is remembered.")
 def devices(as_json: bool, again: bool) -> int:
     """List OpenCL devices: which work, why others do not, which one "auto" takes.
@@ -274,7 +275,7 @@ def tune(device: str | None, every: bool, reset: bool) -> None:
 @click.argument("shell", type=click.Choice(SHELLS))
 @click.pass_context
 def completion(context: click.RichContext, /, shell: str) -> None:
-    """Print what makes a shell complete commands and options.
+    """Print a script by which a shell completes commands and options.
 
     \b
     bash:  eval "$(clmorph completion bash)"           in ~/.bashrc

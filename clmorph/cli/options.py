@@ -302,13 +302,13 @@ file_options = _together(
     _option(
         "File", "-o", "--output", type=OutputName(),
         multiple=True,
-        help="Where to write, once or more; the ending says what: .gif .webp .apng .mp4 .webm "
-        ".html, .png (contact sheet), .npz (NumPy), .tif; without one a folder of PNG frames; - "
-        "with --format: to standard output.",
+        help="Name of an output; its ending chooses the format: .gif .webp .apng .mp4 .webm .html, "
+        ".png (contact sheet), .npz (NumPy), .tif; a name without an ending is a folder of PNG "
+        "frames, and - with --format is standard output. Can be repeated.",
     ),
     _option(
         "File", "--format", type=click.Choice(list(FORMATS)),
-        help="Format of the file, in place of what its ending says.",
+        help="Format of the output, where its ending does not choose it.",
     ),
     _of(FrameStyle),
     _recipe_option,
@@ -317,20 +317,20 @@ file_options = _together(
 picture_options = _together(
     _option(
         "File", "-o", "--output", type=OutputName(), multiple=True,
-        help=f"Where to write, once or more: {', '.join(WRITERS)}, TIFF has 16 bits; .mp4 or .webm "
-        "for a clip; - with --format: to standard output.",
+        help=f"Name of an output: {', '.join(WRITERS)} (TIFF: 16 bits), .mp4 or .webm for clips; "
+        "- with --format is standard output. Can be repeated.",
     ),
     _option(
         "File", "--format",
         type=click.Choice([*(ending[1:] for ending in WRITERS), *CONTAINERS]),
-        help="Format of the file, in place of what its ending says.",
+        help="Format of the output, where its ending does not choose it.",
     ),
     _recipe_option,
 )  # fmt: skip
 
 preset_option = _option(
     "Settings", "--preset", type=click.Choice([AUTO, *PRESETS]),
-    help="Set of options for a kind of pictures; see below.  [default: auto]",
+    help="Set of options for a kind of pictures, described below.  [default: auto]",
 )  # fmt: skip
 draft_option = _option(
     "Settings", "--draft", is_flag=True,
@@ -362,7 +362,7 @@ map_options = _together(
     ),
     _option(
         "Transport", "--features", type=InputName(), nargs=2, metavar="A B",
-        help="Further coordinates of the cost for each pixel, such as depth: .npy or pictures. "
+        help="Additional coordinates of each pixel in the cost, such as depth: .npy or pictures. "
         "--feature-weight scales them.",
     ),
 )  # fmt: skip

@@ -84,7 +84,7 @@ class Clip:
                 )
             except self._errors as error:
                 raise FileError(
-                    f"{self.path}: this is no clip that can be read ({reason_of(error)}); expected "
+                    f"{self.path}: this is not a readable clip ({reason_of(error)}); expected "
                     "a film such as .mp4, .mov, .mkv or .webm"
                 ) from None
             except (OSError, ValueError) as error:

@@ -201,7 +201,7 @@ def read_npy(file: Path, max_pixels: int) -> Any:
         )
         shape, _, dtype = read(stream)
         if dtype.hasobject:
-            raise ValueError("it holds objects of Python, which are not read")
+            raise ValueError("it holds Python objects, which are not read")
         if int(np.prod(shape[:2], dtype=object)) > max_pixels or len(shape) > 3:
             raise FileError(f"{file} has shape {shape}: expected at most {max_pixels} pixels")
         if int(np.prod(shape, dtype=object)) * dtype.itemsize > file.stat().st_size:

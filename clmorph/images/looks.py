@@ -149,7 +149,7 @@ def _from_hald(file: Path, max_pixels: int) -> Lut:
 def _from_text(text: str) -> Lut:
     """Return the table in the text of a ``.cube`` file, or raise ValueError."""
     if "\0" in text:
-        raise ValueError("it is no text")
+        raise ValueError("it is not a text")
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
     lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
     size, low, high, rows = 0, np.zeros(3), np.ones(3), 0
@@ -178,7 +178,7 @@ def _from_text(text: str) -> Lut:
             high = values
         rows += 1
     if not size:
-        raise ValueError("it has no LUT_3D_SIZE")
+        raise ValueError("LUT_3D_SIZE is missing in it")
     if len(lines) - rows != size**3:
         raise ValueError(f"it has {len(lines) - rows} colors where its size asks for {size**3}")
     values = _numbers("\n".join(line for _, line in lines[rows:]))
@@ -197,7 +197,7 @@ def _numbers(text: str) -> Array:
         values = np.array(words, float)
     except ValueError:
         wrong = next(word for word in words if not _is_number(word))
-        raise ValueError(f"{printable(wrong, 40)!r} is no number") from None
+        raise ValueError(f"{printable(wrong, 40)!r} is not a number") from None
     if not np.isfinite(values).all():
         raise ValueError("it holds NaN or infinity")
     return values

@@ -240,7 +240,7 @@ def read_visible(path: str | PathLike[str], max_pixels: int = MAX_PIXELS) -> Any
     for note in notes:
         warnings.warn(note, ImageWarning, stacklevel=2)
     if samples.shape[2] == 4 and not samples[..., 3].any():
-        raise FileError(f"{path}: every pixel is transparent; expected something to see")
+        raise FileError(f"{path}: every pixel is transparent; expected visible pixels")
     return samples
 
 
@@ -275,7 +275,7 @@ def _read(path: str | PathLike[str], max_pixels: int) -> tuple[AnyArray, list[st
         # Only decoders run in this block, and they raise errors of any kind for damaged files.
         if reason := unsupported_reason(error):
             raise FileError(
-                f"{name} is of a kind that is not read ({reason}); convert it to PNG"
+                f"{name} is of an unsupported kind ({reason}); convert it to PNG"
             ) from error
         raise FileError(
             f"{name} cannot be decoded ({reason_of(error, REASON_LENGTH)}); is it complete?"

@@ -40,7 +40,7 @@ def as_features(name: str, value: Any, shape: tuple[int, int]) -> Array:
             "given, or K such maps along a third axis"
         )
     if not np.all(np.isfinite(array)):
-        raise InputError(f"{name}: NaN or infinity in it; expected finite numbers")
+        raise InputError(f"{name}: it holds NaN or infinity; expected finite numbers")
     return array
 
 
@@ -58,7 +58,7 @@ def with_features(
     """
     if any(measure.has_metric_map for measure in measures):
         raise InputError(
-            "features and a color_metric of each pixel exclude one another: give one metric for "
+            "features cannot be combined with a color_metric for each pixel: give one metric for "
             "all pixels, or no features"
         )
     counts = [each.shape[2] for each in features]

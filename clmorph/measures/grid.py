@@ -303,7 +303,7 @@ def _checked(name: str, grid: Grid) -> Grid:
                 f"{name}: the coordinates of axis {k} must ascend, or descend, without repetition"
             )
     if grid.mask is not None and not grid.mask.any():
-        raise InputError("mask is False everywhere: expected some cells")
+        raise InputError("the mask selects no cell: expected True for at least one")
     if np.isnan(grid.masses.min()):
         raise InputError(
             f"{name} hold NaN: expected masses; give a mask that leaves such cells out"
@@ -324,7 +324,8 @@ def check_grid(name: str, grid: Grid) -> Grid:
         usable = usable and not np.any(grid.masses[~grid.mask])
     if not usable:
         raise InputError(
-            f"{name} is no usable Grid: make it with clmorph.grid_measure, which checks its parts"
+            f"{name} is not a usable Grid: make it with clmorph.grid_measure, which checks its "
+            "parts"
         )
     return _checked(name, grid)
 

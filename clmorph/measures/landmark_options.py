@@ -134,7 +134,7 @@ def read_landmarks(text: str) -> Any:
             raise InputError(f"{text}, line {k + 1}: {shown(line)}: expected x,y,x',y' in pixels")
         found.append((numbers[:2], numbers[2:]))
     if not found:
-        raise InputError(f"{text}: no landmarks in it; expected lines x,y,x',y' in pixels")
+        raise InputError(f"{text}: it holds no landmarks; expected lines x,y,x',y' in pixels")
     return check_landmarks("landmarks", found)
 
 
@@ -201,13 +201,13 @@ class GuideOptions(Options):
     landmarks: Guide = option(
         AUTO, LANDMARKS,
         "Points that correspond, each a point of A and its partner in B, in pixels of each picture "
-        "as it is given; repeatable. What is at one moves to the other. auto: faces, or things in "
-        "both pictures, if there are any; none: no points.",
+        "as it is given; repeatable. What A shows at its point moves to the partner. auto: faces, "
+        "or things in both pictures, if there are any; none: no points.",
         "Transport", unit="pixels", outside="landmark",
     )  # fmt: skip
     feature_weight: float | Sequence[float] = option(
         1.0, FEATURE_WEIGHT,
-        "Image sides that a feature of 1 is worth in the cost; several values belong to one "
-        "feature each.",
+        "Weight of features in the cost: the distance in the picture that counts as much as a "
+        "difference of 1; several values belong to one feature each.",
         "Transport", unit="image sides", word="",
     )  # fmt: skip

@@ -64,7 +64,7 @@ def guided(
         return Guided(source, target, np.zeros(0))
     if source.has_metric_map:
         raise InputError(
-            "landmarks and a color_metric of each pixel exclude one another: give one metric for "
+            "landmarks cannot be combined with a color_metric for each pixel: give one metric for "
             "all pixels, or no landmarks"
         )
     sides = _sides(landmarks, source, target, shapes)

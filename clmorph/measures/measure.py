@@ -148,7 +148,7 @@ def check_measure(name: str, measure: Measure) -> None:
             LiftOptions.checked(option, getattr(measure, option))
     except (TypeError, ValueError) as error:
         reason = f": {error}" if isinstance(error, InputError) else ""
-        raise InputError(f"{name} is no usable Measure{reason}; {remedy}") from None
+        raise InputError(f"{name} is not a usable Measure{reason}; {remedy}") from None
     shapes = {"positions": (n, 2), "colors": (n, 3), "weights": (n,)}
     if measure.alpha is not None:
         shapes["alpha"] = (n,)

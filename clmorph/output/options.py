@@ -33,17 +33,17 @@ class PlaybackOptions(Options):
     fps: float | None = option(FPS, number(0.1, 240.0), "Frames a second.", "Motion")
     duration: float | None = option(
         None, number(0.0, 1e6, open_low=True),
-        "Duration of one round, in place of fps; the time that pictures stay counts.", "Motion",
+        "Duration of one round, in place of fps; it includes the time of hold.", "Motion",
         unit="seconds",
     )  # fmt: skip
     hold: float = option(
         0.65, number(0.0, 3600.0),
-        "Time that the pictures themselves stay longer than other frames.", "Motion",
+        "Additional time for which the pictures themselves are shown.", "Motion",
         unit="seconds", word="",
     )  # fmt: skip
     ease: Ease = option(
         "linear", choice(Ease),
-        "Pace: even, slow at both ends (smooth), slow at the start (in), or at the end (out).",
+        "Pace: even (linear), slow at both ends (smooth), at the start (in), or at the end (out).",
         "Motion", word="",
     )  # fmt: skip
     loop: Loop = option("loop", choice(Loop), "What follows the last frame.", "Motion", word="")
@@ -84,7 +84,7 @@ class FrameStyle(Options):
     background: str | None = option(
         None, text("COLOR", check_color),
         "Color under transparent parts and of bars, such as white or #204060; none: opacity is "
-        "kept where the file can hold it, and else laid on white.",
+        "kept where the file can hold it, and otherwise the frame is drawn on white.",
         "File",
     )  # fmt: skip
     lossless: bool = option(False, flag(), "Write WebP without loss.", "File", word="")

@@ -50,5 +50,5 @@ def _metadata_text(path: Path) -> str:
         return read_jpeg(path)
     format = next(by_content(start), None)
     if format is None:
-        raise ValueError("it is of no kind that clmorph writes")
+        raise ValueError("it is not a kind of file that clmorph writes")
     return format.read_metadata(path)

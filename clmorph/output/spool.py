@@ -96,6 +96,6 @@ def _disk_errors() -> Iterator[None]:
         yield
     except OSError as error:
         raise OutputError(
-            f"frames cannot wait on disk until they are written ({reason_of(error)}): "
+            f"frames cannot be kept on disk until they are written ({reason_of(error)}): "
             "free some space, or take fewer or smaller frames"
         ) from error

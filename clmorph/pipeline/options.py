@@ -77,8 +77,8 @@ class BudgetOptions(Options):
         64, integer(2, 1 << 16),
         "Solve the transport between square blocks of pixels, at most this number along the "
         "longer side, and draw with pixels. A block has 1, 2, 4, ... pixels along a side, so that "
-        "fewer can be taken. none: solve between pixels. Particles, cells, sprites and drawings "
-        "have 128 unless it is given.",
+        "there can be fewer. none: solve between pixels. The default is 128 for particles, cells, "
+        "sprites and drawings.",
         "Transport", unit="blocks",
     )  # fmt: skip
     max_particles: int | None = option(
@@ -90,7 +90,7 @@ class BudgetOptions(Options):
     max_memory: float | None = option(
         None, replace(number(1.0, 1e18), check=_check_memory),
         "Memory that the morph may take; if the plan needs more, fewer particles are drawn; "
-        "none: half of the device's.",
+        "none: half of the device's memory.",
         "Transport", unit="GB", scale=1e9,
     )  # fmt: skip
 

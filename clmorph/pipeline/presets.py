@@ -67,11 +67,11 @@ PRESETS: dict[str, Preset] = {
         {"reach": math.inf},
     ),
     "mosaic": Preset(
-        "Bold: blocks of the one picture move to their places in the other, unblended.",
+        "Blocks of one picture move to their places in the other, and nothing is blended.",
         {"detail": "cells", "solve_size": FINE_BLOCKS},
     ),
     "crossfade": Preset(
-        "Nothing moves: one picture fades into the other, to compare with.",
+        "Nothing moves: one picture fades into the other, for comparison.",
         {
             "reach": 0.001,
             "solve_size": FINE_BLOCKS,
@@ -83,8 +83,8 @@ PRESETS: dict[str, Preset] = {
         },
     ),
     "paper": Preset(
-        "Everything as in the paper: its numbers, axes stretched to a square, pruning threshold, "
-        "and blurred first and last frame; for pictures of about 48 pixels.",
+        "Follows the paper: its numbers, axes stretched to a square, its pruning threshold, and a "
+        "blurred first and last frame; for pictures of about 48 pixels.",
         {
             "size": 48,
             "solve_size": None,

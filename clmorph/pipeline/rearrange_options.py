@@ -40,7 +40,7 @@ class RearrangeOptions(FrameStyle, PlaybackOptions):
     extent: Extent = with_default(LiftOptions, "extent", LiftOptions.extent)
     gap: float = option(
         0.005, number(0.0, 1e3),
-        "Share of the lower bound by which the cost may exceed it; the search for a cheaper "
+        "Largest share by which the cost may exceed its lower bound; the search for a cheaper "
         "arrangement ends there.",
         "Transport", word="",
     )  # fmt: skip

@@ -30,7 +30,7 @@ class RecolorOptions(Options):
 
     strength: float = option(
         1.0, number(0.0, 1.0),
-        "Share of the way that colors go: 0 keeps the picture, 1 is all of it.",
+        "Strength of the change of colors: 0 keeps the picture, 1 changes it in full.",
         "Color", word="",
     )  # fmt: skip
     color_space: ColorSpace = option(
@@ -46,7 +46,7 @@ class RecolorOptions(Options):
     reach: float | None = option(
         1.0, number(0.005, 1e6),
         "Length scale beyond which colors stay rather than move; a small one keeps colors that "
-        "have no counterpart, balanced: the other picture's colors are taken in full.",
+        "have no counterpart; balanced: the other picture's colors are taken in full.",
         "Color", unit="units of a channel", word="balanced",
     )  # fmt: skip
     feather: float = option(
@@ -55,7 +55,7 @@ class RecolorOptions(Options):
     )  # fmt: skip
     reference_frame: int | None = option(
         None, integer(0, 1 << 31),
-        "Number of the frame of a clip, from 0, whose colors count, spread: 16 frames over the "
-        "clip.",
+        "The frame of a clip, counted from 0, to which the colors are fitted; spread: 16 frames "
+        "over the clip.",
         "Color", word="spread",
     )  # fmt: skip

@@ -211,7 +211,7 @@ class Studio:
 
     def _room(self, tab: Tab, more: int) -> None:
         if len(tab.pictures) + more > MAX_PICTURES:
-            raise InputError(f"{MAX_PICTURES} pictures are in this tab at most: remove one")
+            raise InputError(f"a tab holds at most {MAX_PICTURES} pictures: remove one")
 
     async def picture(self, request: Request, tab: Tab) -> Response:
         """Return a picture's file as it was given."""
@@ -275,7 +275,7 @@ class Studio:
         asked = await _json(request)
         number = asked.get("number")
         if not isinstance(number, int) or not 0 <= number < 1 << 40:
-            raise InputError("number: expected that of the request")
+            raise InputError("number: expected the number of the request")
         chosen = choices.read_choices(asked)
         if chosen.device not in {device["name"] for device in self.devices}:
             raise InputError("device: expected one of those that the page offers")
@@ -295,7 +295,7 @@ class Studio:
             found = [each.painted.get(own.painted) for each in pictures]
             painted = [path for path in found if path is not None]
             if len(painted) < len(pictures):
-                raise InputError("painted regions: expected some on each picture that has them")
+                raise InputError("painted regions: expected at least one on each picture")
         ask = work.Ask(tab, tuple(tab.pictures), chosen, number, tuple(painted))
         preset = await run_in_threadpool(ask.recognized)
         chosen = choices.with_reach(chosen, preset)
@@ -337,7 +337,7 @@ class Studio:
         if all(ending not in kind.downloads for kind in KINDS.values()):
             return _missing()
         if result is None:
-            raise InputError("nothing to download yet: run it first")
+            raise InputError("there is nothing to download yet: run it first")
         kind = result.choices.kind
         if ending not in kind.downloads:
             return _missing()
@@ -349,7 +349,7 @@ class Studio:
         """Write the frame of the last film at a time, and return it."""
         result = tab.result
         if result is None or not result.choices.kind.film:
-            raise InputError("no film to take a still from yet: run it first")
+            raise InputError("there is no film yet from which a still could be taken: run it first")
         time = _number(request, "time")
         path = tab.folder / f"still-{result.number}-{time:.4f}.png"
         write = partial(work.write_still, result, time, path)

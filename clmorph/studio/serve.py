@@ -89,7 +89,9 @@ def serve(
                 worker.close(PATIENCE)
                 thread.join(PATIENCE)
     except OSError as error:
-        raise OutputError(f"{home}: no temporary folder ({reason_of(error)})") from None
+        raise OutputError(
+            f"{home}: there is no usable temporary folder ({reason_of(error)})"
+        ) from None
 
 
 def _listen(host: str, port: int | None) -> socket.socket:

@@ -268,7 +268,7 @@ def check_symmetric(*measures: AnyMeasure) -> None:
     """Check that the cost of measures is a squared distance."""
     if any(measure.offsets is not None for measure in measures):
         raise InputError(
-            "a cost with a metric for each source pixel is no distance, so there is no "
+            "a cost with a metric for each source pixel is not a distance, so there is no "
             "divergence: use one metric for all pixels"
         )
 

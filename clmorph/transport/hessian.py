@@ -172,7 +172,7 @@ def _product(
     off = np.abs(applied(both) - right).max()
     if status != 0 and not off <= 1e-8 * np.abs(right).max():
         raise InputError(
-            "second derivatives: the linear system is too near to singular; raise blur"
+            "the linear system of the second derivatives is nearly singular; raise blur"
         )
     df, dg = both[:n], both[n:]
     plan_change = plan * ((df[:, None] + dg - change) / epsilon + (da / a)[:, None] + db / b)

@@ -60,10 +60,10 @@ class SolverOptions(Options):
     )  # fmt: skip
     epsilon: float | None = option(
         None, _SQUARE,
-        "The square of blur, in its place.", "Transport", unit="cost units",
+        "The square of blur, in place of blur.", "Transport", unit="cost units",
     )  # fmt: skip
     rho: Rho = option(
-        None, _RHO, "The square of reach, in its place.", "Transport", unit="cost units"
+        None, _RHO, "The square of reach, in place of reach.", "Transport", unit="cost units"
     )
     tol: float = option(
         1e-3, number(0.0, 1e3, open_low=True), "Residual at which the solver stops.",
@@ -96,7 +96,7 @@ class PlanOptions(Options):
     log_threshold: float | None = option(
         None, number(-1e4, 1e4),
         "Drop the pairs of the plan whose log pi is below this threshold (the paper's tau is -13); "
-        "relative: drop those that are small beside the largest of their row or column.",
+        "relative: drop pairs that are small compared with the largest of their row or column.",
         "Transport", unit="nats", word="relative",
     )  # fmt: skip
     barycentric: bool = option(
@@ -118,7 +118,7 @@ class PruningOptions(Options):
 
     relative: float = option(
         1e-4, number(0.0, 1.0, open_low=True),
-        "A pair is kept from this share of the largest pair of its row or column on.",
+        "Share of the largest pair of its row or column that a pair needs to be kept.",
         "Transport", word="",
     )  # fmt: skip
     relative_to: RelativeTo = option(

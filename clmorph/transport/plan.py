@@ -277,7 +277,7 @@ class Plan:
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> AnyArray:
         """Return the dense array of `toarray`, which is always a copy."""
         if copy is False:
-            raise InputError("a dense plan is made anew: expected copy=None or copy=True")
+            raise InputError("a dense plan is always a new array: expected copy=None or copy=True")
         return self.toarray().astype(dtype or float, copy=False)
 
     def to_scipy(self) -> csr_array[Any, tuple[int, int]]:

@@ -345,7 +345,7 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     arrays = value.f, value.g
     if not all(type(array) is np.ndarray and array.dtype == np.float64 for array in arrays):
         raise InputError(
-            f"{name}: f and g are no float64 arrays; expected Potentials as clmorph.sinkhorn "
+            f"{name}: f and g are not float64 arrays; expected Potentials as clmorph.sinkhorn "
             "returns them"
         )
     shapes = value.f.shape, value.g.shape

@@ -135,7 +135,7 @@ def test_nothing_is_lost(client, pictures, tmp_path, capsys):
     lines = {Path(each["output"]).name: each["line"] for each in summary["results"]}
     assert "gone.png: " in lines["gone.gif"]
     assert "broken.png is not an image" in lines["broken.gif"]
-    assert "no folder for it" in lines["below a file.gif"]
+    assert "its folder cannot be made" in lines["below a file.gif"]
     done = [each["output"] for each in records(out) if each["status"] == "done"]
     assert len(done) == len(set(done)) == N_PAIRS  # none was done twice
     assert not list(out.rglob(".clmorph-*"))
@@ -373,7 +373,7 @@ def test_barycenters(client):
     ("name", "text", "words"),
     [
         ("a.csv", "", "line 1: no column source and target and output"),
-        ("a.csv", "source,target,output\n", "no jobs in it"),
+        ("a.csv", "source,target,output\n", "it holds no jobs"),
         ("a.csv", "source,target\na,b\n", "line 1: no column output"),
         ("a.csv", "source,target,output,blurr\n", "line 1: unknown option 'blurr'; did you mean"),
         ("a.csv", "source,target,output,blur,blur\n", "line 1: two columns 'blur'"),
@@ -394,7 +394,7 @@ def test_barycenters(client):
         ("a.csv", 'source,target,output\n"a,b,c.gif\n', "not CSV"),
         ("a.json", "[", "not JSON"),
         ("a.json", "{}", "expected a list of jobs"),
-        ("a.json", "[]", "no jobs in it"),
+        ("a.json", "[]", "it holds no jobs"),
         ("a.json", "[3]", "entry 1: 3: expected an object"),
         ("a.json", '[{"source": 1, "target": "b", "output": "c.gif"}]', "entry 1: source = 1"),
         ("a.json", '[{"source": "a", "target": "b"}]', "entry 1: no column output"),

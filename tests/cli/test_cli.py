@@ -276,7 +276,7 @@ def test_version_and_help():
         assert any(device.index in line and device.driver in line for line in lines[2:])
     told = run("--help").stdout
     assert told.index("clmorph demo") < told.index("Options")
-    assert "130 interrupted" in told
+    assert "130: interrupted" in told
     told = run("morph", "--help").stdout
     assert told.index("clmorph morph a.png b.jpg -o out.gif") < told.index("--color-weight")
     assert told.index("─ File") < told.index("─ Motion") < told.index("─ Transport")
@@ -586,10 +586,10 @@ def test_a_folder_that_is_gone(pictures, monkeypatch, capfd):
     Path("../gone").rmdir()
     a, b = pictures / "a.png", pictures / "b.jpg"
     for arguments, words in (
-        (["morph", str(a), str(b), "-o", "x.gif", *QUICK], "x.gif: there is no such place"),
-        (["morph", str(a), str(b), "-o", ".", *QUICK], "there is no such place"),
+        (["morph", str(a), str(b), "-o", "x.gif", *QUICK], "x.gif: this place does not exist"),
+        (["morph", str(a), str(b), "-o", ".", *QUICK], "this place does not exist"),
         (["demo", "--backend", "numpy"], "the current folder is gone"),
-        (["check", "--report", "x.json"], "x.json: there is no such place"),
+        (["check", "--report", "x.json"], "x.json: this place does not exist"),
     ):
         assert main(arguments) == 2
         assert words in capfd.readouterr().err

@@ -244,7 +244,7 @@ LIBRARY = [
     (lambda: clmorph.fit([[1, 2], [3, 4]], 2), "dtype"),
     (lambda: clmorph.lift([[1, 2], [3]]), "differ in length"),
     (lambda: clmorph.morph(SMALL, SMALL, color_metric=[[1, 2], [3]]), "differ in length"),
-    (lambda: clmorph.morph(SMALL, SMALL, weights=("x", None)), "no array of numbers"),
+    (lambda: clmorph.morph(SMALL, SMALL, weights=("x", None)), "not an array of numbers"),
     (lambda: clmorph.morph(SMALL, SMALL, sigma_start="2.5"), "sigma_start='2.5'"),
     (lambda: clmorph.morph(SMALL, SMALL, sigma_end=1e-20), "sigma_end=1e-20"),
     (lambda: clmorph.morph(SMALL, SMALL, n_frames="5"), "n_frames='5'"),
@@ -256,7 +256,7 @@ LIBRARY = [
     (lambda: clmorph.reference.morph(SMALL, SMALL, sigma_start="auto"), "sigma_start='auto'"),
     (lambda: clmorph.analysis.metrics.step_sizes([]), "0 frames"),
     (lambda: clmorph.analysis.metrics.sharpness(np.zeros((3, 3))), "shape"),
-    (lambda: clmorph.analysis.metrics.hole_fraction("x"), "no array"),
+    (lambda: clmorph.analysis.metrics.hole_fraction("x"), "not an array"),
     pytest.param(
         lambda: clmorph.sinkhorn(FAR, FAR, 0.03), "too small for .* on this device: .*'numpy'",
         marks=pytest.mark.needs_device,

@@ -214,13 +214,13 @@ def test_ctrl_c_while_nobody_reads():
         ("morph a.png b.jpg -o -", "expected --format"),
         ("recolor a.png b.jpg -o -", "expected --format"),
         ("morph a.png b.jpg -o - --format png-folder", "is a folder, which standard output"),
-        ("morph a.png b.jpg -o - --format gif --recipe", "--recipe writes beside a file"),
+        ("morph a.png b.jpg -o - --format gif --recipe", "--recipe writes a file beside"),
         ("morph a.png b.jpg -o - -o /dev/stdout --format gif", "two outputs have one name"),
         ("morph a.png b.jpg -o x.gif -o y.gif --format gif", "--format is for one output"),
         ("recolor a.png b.jpg -o x.png --export-lut -", "expected .cube"),
         ("mix a.png b.jpg -o - --format gif", "mixes side by side are one picture"),
         ("morph - b.jpg -o x.gif", "- is empty, or was read already"),
-        ("check --report /dev/stdout", "--report is a file"),
+        ("check --report /dev/stdout", "--report needs the name"),
     ],
 )
 def test_mistakes(arguments, words):

@@ -204,7 +204,7 @@ def test_files_that_are_no_clips_are_refused(tmp_path):
     made["l.m3u8"].write_text("#EXTM3U\n#EXTINF:1,\nsound.mp4\n#EXT-X-ENDLIST\n")
     words = {
         "pq.mp4": "high dynamic range", "sound.mp4": "sound without a picture",
-        "none.mp4": "no ", "text.mp4": "no clip", "l.m3u8": "no clip",
+        "none.mp4": "no ", "text.mp4": "not a readable clip", "l.m3u8": "not a readable clip",
         "missing.mp4": "No such file",
     }  # fmt: skip
     for name, what in words.items():

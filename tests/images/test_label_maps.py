@@ -82,7 +82,7 @@ def test_a_color_is_a_label(tmp_path):
         (lambda file: Image.new("L", (2000, 2000)).save(file), "expected at most 1000000"),
         (lambda file: np.save(file.with_suffix(".npy"), np.ones((2, 2))), "float64 of shape"),
         (lambda file: np.save(file.with_suffix(".npy"), np.ones((2, 2, 2), int)), "array of shape"),
-        (lambda file: np.save(file.with_suffix(".npy"), np.array([[{}]])), "objects of Python"),
+        (lambda file: np.save(file.with_suffix(".npy"), np.array([[{}]])), "Python objects"),
         (lambda file: np.save(file.with_suffix(".npy"), np.ones((0, 2), int)), "of shape"),
         (
             lambda file: file.with_suffix(".npy").write_bytes(

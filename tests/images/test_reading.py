@@ -467,7 +467,7 @@ def test_valid_files_that_are_not_read_are_not_called_damaged(read):
         (png(array, 0, 8, ((b"zTXt", b"a\0\0" + long),)), "a.png", "more than 1 MB"),
         (png(array, 0, 8, ((b"iCCP", b"a\0\0" + long),)), "b.png", "more than 1 MB"),
     ):  # fmt: skip
-        with pytest.raises(FileError, match=rf"is of a kind that is not read \(.*{words}"):
+        with pytest.raises(FileError, match=rf"is of an unsupported kind \(.*{words}"):
             read(data, name)
 
 

@@ -256,7 +256,7 @@ def test_landmarks_that_cannot_be_used(landmarks, told):
 def test_what_landmarks_exclude(rng):
     image = rng.random((8, 8, 3))
     landmarks = [((3, 3), (4, 4))]
-    with pytest.raises(InputError, match="landmarks and a color_metric of each pixel"):
+    with pytest.raises(InputError, match="landmarks cannot be combined with a color_metric"):
         plain.morph(
             image, image, n_frames=2, landmarks=landmarks, color_metric=np.ones((8, 8)),
             backend="numpy",
@@ -318,7 +318,7 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng):
         "bad.csv": "bad.csv, line 2: '1,2,3': expected x,y,x',y' in pixels",
         "no.csv": "no.csv: landmarks cannot be read",
         "typo.csv": "typo.csv, line 1: '1O,20,30,40': expected x,y,x',y' in pixels",
-        "empty.csv": "empty.csv: no landmarks in it",
+        "empty.csv": "empty.csv: it holds no landmarks",
         "huge.csv": "huge.csv: larger than",
         "5,5": "expected x,y:x',y' in pixels",
         "5,5:inf,3": "expected x,y:x',y' in pixels",

@@ -973,7 +973,7 @@ def test_refusals(tmp_path, growing, monkeypatch):
         ("full", "exists already"),
         ("dir.gif", "is a folder"),
         ("file/out.gif", "no"),
-        ("x" * 300 + ".gif", "no such place|cannot be written"),
+        ("x" * 300 + ".gif", "does not exist|cannot be written"),
     ]:
         with pytest.raises(OutputError, match=words) as caught:
             Output(tmp_path / name)

@@ -445,7 +445,7 @@ def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
                 spool[0]
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert "frames cannot wait on disk" in capfd.readouterr().err.splitlines()[-1]
+    assert "frames cannot be kept on disk" in capfd.readouterr().err.splitlines()[-1]
     assert names() == []
 
 

@@ -201,7 +201,7 @@ def test_mistakes_leave_an_old_output(tmp_path, palette, monkeypatch, capsys, fe
         (["sound.mp4", "palette.png"], "sound without a picture"),
         (["hdr.mp4", "palette.png"], "high dynamic range"),
         (["none.mp4", "palette.png"], "none.mp4"),
-        (["palette.png", "palette.png"], "palette.png: this is no clip"),
+        (["palette.png", "palette.png"], "palette.png: this is not a readable clip"),
         (["in.mp4", "in.mp4"], "not an image"),
         (["in.mp4"], "expected two"),
         (["in.mp4", "palette.png", "--lut", "nan.cube"], "expected one"),

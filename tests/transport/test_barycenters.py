@@ -311,7 +311,7 @@ class TestMistakes:
             ({"blur": -1}, "blur"),
             ({"tol": 0}, "tol"),
             ({"max_iter": 0}, "max_iter"),
-            ({"measures": []}, "none given"),
+            ({"measures": []}, "the list is empty"),
             ({"measures": [_cloud(0), (np.ones(2), np.zeros((2, 2)))]}, "differ"),
             ({"measures": [_cloud(0), (np.ones(2) / 2, np.zeros((2, 3)))]}, "dimensions"),
         ],

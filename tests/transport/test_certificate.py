@@ -150,7 +150,7 @@ ONE = (np.ones(3), np.zeros((3, 2)))
         (np.zeros((2, 4, 5)), "expected a Measure"),
         (None, "expected a Measure"),
         ((np.ones(3),), "expected a Measure"),
-        (("a", "b"), "no array of numbers"),
+        (("a", "b"), "not an array of numbers"),
         ((np.ones(4), np.zeros((3, 2))), "in this order"),
         ((np.zeros((3, 2)), np.ones(3)), "in this order"),
         ((np.ones(0), np.zeros((0, 2))), "N > 0"),

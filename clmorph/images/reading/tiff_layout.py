@@ -112,7 +112,8 @@ def check_layout(file: str, layout: Layout, max_pixels: int) -> None:
         )
     if layout.kind == "i":
         raise FileError(
-            f"{file} has signed samples: expected unsigned ones, or floats in [0, 1]; convert it"
+            f"{file} has signed samples, which are not supported: convert it to unsigned "
+            "samples, or to floats in [0, 1]"
         )
     if layout.compression not in COMPRESSIONS or layout.photometric not in COLOR_SAMPLES:
         raise not_read(file, layout)
@@ -138,7 +139,7 @@ def reads_fax() -> bool:
 def not_read(file: str, layout: Layout) -> FileError:
     """Return the error of a picture whose samples are of a kind that is not read."""
     return FileError(
-        f"{file} stores its colors in a way that is not read (photometric {layout.photometric}, "
+        f"{file} stores its colors in an unsupported way (photometric {layout.photometric}, "
         f"compression {layout.compression}, {layout.samples} samples of {layout.bits} bits); "
         "save it as RGB of 8 or 16 bits, uncompressed or with Deflate"
     )

@@ -74,7 +74,7 @@ def _joined(part: Any, arrays: Arrays, depth: int) -> Any:
     if not isinstance(part, dict):
         if part is None or isinstance(part, bool | int | float | str):
             return part
-        raise ValueError("a part of it is of no known kind")
+        raise ValueError("a part of it is of an unknown kind")
     if "array" in part:
         return arrays.read(str(part["array"]), int(part["axes"]), KINDS)
     if "tuple" in part:

@@ -128,7 +128,7 @@ def read_metadata(path: Path) -> str:
 
     with path.open("rb") as file:
         if file.read(12)[8:] != b"WEBP":
-            raise ValueError("it is of no kind that clmorph writes")
+            raise ValueError("it is not a kind of file that clmorph writes")
         for _ in range(MAX_CHUNKS):
             kind, length = struct.unpack("<4sI", file.read(8))
             if kind == b"EXIF":

@@ -83,7 +83,9 @@ class Encoder:
                     f"frame {number} is {_kind(frame)}: expected (H, W, 3) or (H, W, 4) uint8"
                 )
             if number == self._count:
-                raise InputError("there are more frames than times: expected one each")
+                raise InputError(
+                    "there are more frames than times: expected one time for each frame"
+                )
             yield Image.fromarray(np.ascontiguousarray(frame))
 
     def _is_webp(self, picture: "Image") -> bool:

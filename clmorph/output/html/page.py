@@ -207,5 +207,5 @@ def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
     except (ValueError, RecursionError):
         parameters = None
     if not isinstance(parameters, dict):
-        raise InputError(f"{path}: no parameters in it; expected a page that clmorph wrote")
+        raise InputError(f"{path}: it holds no parameters; expected a page that clmorph wrote")
     return parameters

@@ -35,7 +35,7 @@ def check_outputs(outputs: Sequence[Output], n_stops: int, options: MorphOptions
             )
         if output.format.keep:
             raise OutputError(
-                f"{output.path}: this format holds morphs of two pictures, not mixes: expected "
+                f"{output.path}: this format holds morphs of two pictures, and not mixes: expected "
                 ".gif, .webp, .apng, .mp4, .webm, .png, .tif or a folder"
             )
     if n_stops:

@@ -220,7 +220,7 @@ def _checked(measures: Any) -> list[AnyMeasure]:
         as_measure(f"measures[{k}]", each) for k, each in enumerate(as_many("measures", measures))
     ]
     if not found:
-        raise InputError("measures: none given; expected at least one")
+        raise InputError("measures: the list is empty; expected at least one")
     check_symmetric(*found)
     for each in found[1:]:
         as_measures(found[0], each)
