@@ -46,6 +46,8 @@
 // -D MASKED  1: of the listed tiles, a work-group sees only the columns whose bits are set in the kernel's
 //            argument `column_masks`, (pairs, GROUPS_OF_TILE, MASK_WORDS), from pair `first_mask` on: see
 //            take_column. Default 0.
+// A file that defines TOPS 1, for exponents in float32, learns of each staged tile how large these get: see
+// largest_exponents.
 
 #include "common.cl"
 
@@ -79,6 +81,10 @@
 #endif
 #if MASKED && !LISTED
 #error "MASKED needs LISTED: masks are those of listed tiles"
+#endif
+
+#ifndef TOPS
+#define TOPS 0
 #endif
 
 #define GROUPS_OF_TILE (TILE / (GROUP * WIDTH)) // groups of rows of a tile, which have a mask each
@@ -145,6 +151,28 @@
 #define BLOCK_ROW(block) (((get_group_id(0) * BLOCKS + (block)) * GROUP + get_local_id(0)) * WIDTH)
 #define GROUP_OF_TILE(block) ((get_group_id(0) * BLOCKS + (block)) % GROUPS_OF_TILE)
 
+#if TOPS
+// Each work-item leaves the largest top of its columns j: level_pq + h_j + k (p - q).v_j.
+#define TOPS_ARGUMENT , __local float* tops
+
+INLINE float largest_lane(const vreal v)
+{
+#if WIDTH == 1
+    return v;
+#else
+    float lanes[WIDTH];
+    VSTORE(v, 0, lanes);
+    float largest = lanes[0];
+#pragma unroll
+    for (int l = 1; l < WIDTH; ++l)
+        largest = fmax(largest, lanes[l]);
+    return largest;
+#endif
+}
+#else
+#define TOPS_ARGUMENT
+#endif
+
 // Put column tile q, recentered for the row tile, into local memory:
 // staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
 // The first barrier waits for the readers of the tile before, the last one for the writers.
@@ -154,9 +182,12 @@ INLINE uint stage_columns(
     const ereal k, const __global float* row_centers,
     const __global float* column_shifts, const __global float* column_centers,
     const __global float* column_logits, const __global float* level,
-    __local staged_real* staged)
+    __local staged_real* staged TOPS_ARGUMENT)
 {
     GROUP_BARRIER();
+#if TOPS
+    vreal top = (vreal)(-INFINITY);
+#endif
     ereal shift[DIM];
     for (int d = 0; d < DIM; ++d)
         shift[d] = e_sum(e_constant(row_centers[row_tile * DIM + d], 0.0f),
@@ -164,16 +195,29 @@ INLINE uint stage_columns(
     const ereal level_pq = e_constant(level[0], level[(PLANES - 1) * level_plane]);
     for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
         ereal quadratic = e_constant(0.0f, 0.0f);
+#if TOPS
+        vreal along = (vreal)(0.0f);
+#endif
         for (int d = 0; d < DIM; ++d) {
             const ereal v = e_load(column_shifts + (size_t)d * column_stride + q * TILE + j,
                                    (size_t)DIM * column_stride);
             const ereal half_v = e_product(e_constant(-0.5f, 0.0f), v);
             quadratic = e_sum(quadratic, e_product(v, e_sum(shift[d], half_v)));
+#if TOPS
+            along += v * shift[d];
+#endif
             e_stage(e_product(k, e_sum(v, e_negative(shift[d]))), staged + d * STAGED_ROW + j);
         }
         const ereal h = e_load(column_logits + q * TILE + j, column_stride);
-        e_stage(e_sum(e_sum(h, level_pq), e_product(k, quadratic)), staged + DIM * STAGED_ROW + j);
+        const ereal level = e_sum(h, level_pq);
+        e_stage(e_sum(level, e_product(k, quadratic)), staged + DIM * STAGED_ROW + j);
+#if TOPS
+        top = max(top, level + k * along);
+#endif
     }
+#if TOPS
+    tops[get_local_id(0)] = largest_lane(top);
+#endif
     GROUP_BARRIER();
     return q;
 }
@@ -219,11 +263,43 @@ INLINE void load_rows(
     for (int block = 0; block < BLOCKS; ++block)                                               \
         load_rows(row_shifts, row_stride, first_row + BLOCK_ROW(block), u[block])
 
+#if TOPS
+#define STAGED_TOPS __local float tops[STACKS * GROUP]
+#define TOPS_OF_STACK , tops + get_local_id(1) * GROUP
+
+// Bounds of the exponents of rows over the staged tile q, because
+//
+//     e_ij = level_pq + h_j + k (p - q).v_j - k u_i.(p - q) + k |u_i|^2 / 2 - k |u_i - v_j|^2 / 2,
+//
+// from `own` = k |u_i|^2 / 2. They are above what rounding in float32 makes of exponents.
+INLINE vreal largest_exponents(
+    const ereal* u, const vreal own, const uint q, const uint row_tile, const float k,
+    const __global float* row_centers, const __global float* column_centers,
+    const __local float* tops)
+{
+    const float rounding = 1e-6f * (DIM + 8);
+    float top = tops[0];
+#pragma unroll
+    for (uint item = 1; item < GROUP; ++item)
+        top = fmax(top, tops[item]);
+    vreal projected = (vreal)(0.0f);
+    float squares = 0.0f;
+    for (int d = 0; d < DIM; ++d) {
+        const float shift = row_centers[row_tile * DIM + d] - column_centers[q * DIM + d];
+        projected += u[d] * shift;
+        squares += shift * shift;
+    }
+    return own * (1.0f + rounding) - projected * k + (top + rounding * (fabs(top) + k * squares));
+}
+#else
+#define TOPS_OF_STACK
+#endif
+
 // Stage the n-th column tile of the row tile, and return its number.
 #define STAGE_TILE(n)                                                                          \
     stage_columns(TILE_AT(n), row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),      \
                   row_centers, column_shifts, column_centers, column_logits,                   \
-                  own_levels + (n), staged)
+                  own_levels + (n), staged TOPS_OF_STACK)
 
 #if MASKED
 // The mask of the n-th column tile for a block.

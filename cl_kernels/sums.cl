@@ -236,6 +236,21 @@ INLINE void add_columns(
     *maximum = m_new;
 }
 
+#if TOPS
+// The same where no exponent of the tile is above the maximum, with the same bits.
+INLINE void add_columns_below(
+    const ereal* u, const __local staged_real* staged, const uint* columns, const int count,
+    vreal* maximum, sreal* sum, sreal* of_tile)
+{
+    const vreal m = *maximum;
+    sreal few = NO_SUM;
+#pragma unroll
+    for (int c = 0; c < count; ++c)
+        few = sum_of(few, power_above(exponent(u, staged, columns[c]), m));
+    *of_tile = sum_of(*of_tile, few);
+}
+#endif
+
 // Add the needed columns of a tile by a function that adds some: all columns, or with MASKED those of `mask`.
 #define ADD_ALL(add, unroll)                                                                   \
     for (uint j = 0; j < TILE; j += (unroll)) {                                                \
@@ -263,14 +278,20 @@ INLINE void add_columns(
 #endif
 
 // Add the staged columns to m and s, but for the sum over these columns themselves, which is returned:
-// sums of sums round less than one long sum.
+// sums of sums round less than one long sum. With `is_below` no exponent is above m.
 INLINE sreal add_tile(
     const ereal* u, const __local staged_real* staged, const __global ulong* mask,
-    vreal* maximum, sreal* sum)
+    const bool is_below, vreal* maximum, sreal* sum)
 {
     vreal m = *maximum;
     sreal s = *sum;
     sreal s_tile = NO_SUM;
+#if TOPS
+    if (is_below) {
+        ADD_NEEDED(add_columns_below, UNROLL)
+        return s_tile;
+    }
+#endif
     ADD_NEEDED(add_columns, UNROLL)
     *maximum = m;
     *sum = s;

@@ -8,8 +8,9 @@ most registers of a work-item, bytes of it that are spilled or lie in memory, an
 memory of a work-group, of all variants. The exit code is 1 where a kernel passes its limits, or has
 none. ``--renew`` writes the table: registers in steps of 8, because compilers differ by a few.
 
-The table also has the most slots of the innermost loop of the dense log-sum-exp, for a pair of
-points, which bound its speed: instructions on NVIDIA's cards, vector instructions on AMD's.
+The table also has the most slots of the innermost loops of the dense log-sum-exp, for a pair of
+points, which bound its speed: instructions on NVIDIA's cards, vector instructions on AMD's. The
+first loop is over tiles that cannot raise the maximum, the second over all others.
 
 ptxas and nvdisasm come with CUDA, and in the wheels nvidia-cuda-nvcc-cu12 and nvidia-cuda-nvdisasm.
 """
@@ -71,21 +72,23 @@ def measure(target: str, variant: Variant) -> dict[str, Numbers]:
     }
 
 
-def slots(target: str) -> float:
-    """Return the slots of `DENSE` for a pair of points, in its innermost loop."""
-    constants = gpu_constants(64)
+def slots(target: str) -> tuple[float, float]:
+    """Return the slots of `DENSE` for a pair of points, without and with the running maximum."""
+    constants = gpu_constants(256)
     rows = constants.width * DENSE.stacks(constants)
-    loop = innermost(_compiled(target, DENSE, disassembled=True)[0])
-    powers = sum(power in line for line in loop for power in POWERS)
-    # Beside a power for each pair there is one for each row, by which its sum is rescaled.
-    rounds, rest = divmod(powers, rows * (constants.unroll + 1))
-    assert (rounds > 0, rest) == (True, 0), f"{target}: {powers} powers in the innermost loop"
-    counted = loop if target in NVIDIA else [line for line in loop if line.startswith("v_")]
-    return len(counted) / (rounds * rows * constants.unroll)
+    found = []
+    for loop, rescaled in zip(innermost(_compiled(target, DENSE, True)[0]), (0, 1), strict=True):
+        powers = sum(power in line for line in loop for power in POWERS)
+        # Beside a power for each pair there is one for each row, by which its sum is rescaled.
+        rounds, rest = divmod(powers, rows * (constants.unroll + rescaled))
+        assert (rounds > 0, rest) == (True, 0), f"{target}: {powers} powers in an innermost loop"
+        counted = loop if target in NVIDIA else [line for line in loop if line.startswith("v_")]
+        found.append(len(counted) / (rounds * rows * constants.unroll))
+    return found[0], found[1]
 
 
-def innermost(text: str) -> list[str]:
-    """Return the instructions of the shortest loop that has powers of two."""
+def innermost(text: str) -> list[list[str]]:
+    """Return the instructions of the two shortest loops that have powers of two."""
     lines: list[str] = []
     labels: dict[str, int] = {}
     loops: list[list[str]] = []
@@ -97,12 +100,14 @@ def innermost(text: str) -> list[str]:
             branch = re.match(r"(?:@\S+ )?(?:BRA|s_c?branch).*?(\.L\w+)", lines[-1])
             if branch and branch[1] in labels:
                 loops.append(lines[labels[branch[1]] :])
-    return min((loop for loop in loops if any(p in line for line in loop for p in POWERS)), key=len)
+    return sorted(
+        (loop for loop in loops if any(p in line for line in loop for p in POWERS)), key=len
+    )[:2]
 
 
 def _compiled(target: str, variant: Variant, disassembled: bool = False) -> tuple[str, str]:
     """Return the assembly of a variant, or the machine's code as text, and what ptxas says."""
-    options = build_options(variant.macros(gpu_constants(64)))
+    options = build_options(variant.macros(gpu_constants(256)))
     with TemporaryDirectory() as folder:
         file = Path(folder) / "kernels.s"
         if target in NVIDIA:
@@ -163,7 +168,10 @@ def main() -> int:
     found = measure_all(all_variants())
     of_loop = {target: slots(target) for target in TARGETS}
     if "--renew" in sys.argv[1:]:
-        lines = ["[slots]", *(f"{target} = {n:.2f}" for target, n in of_loop.items())]
+        lines = [
+            "[slots]",
+            *(f"{target} = [{below:.2f}, {n:.2f}]" for target, (below, n) in of_loop.items()),
+        ]
         for target, kernels in found.items():
             lines.append(f"\n[{target}]")
             for name, (registers, spilled, local) in sorted(kernels.items()):
@@ -174,9 +182,10 @@ def main() -> int:
     most = limits.pop("slots")
     said = complaints(found, limits)
     said += [
-        f"{target}: {DENSE} takes {n:.2f} slots a pair; the limit is {most[target]}"
-        for target, n in of_loop.items()
-        if n > most[target] + 0.05
+        f"{target}: {DENSE} takes {n:.2f} slots a pair {loop} maximum; the limit is {limit}"
+        for target, found in of_loop.items()
+        for loop, n, limit in zip(("below the", "with a running"), found, most[target], strict=True)
+        if n > limit + 0.05
     ]
     print("\n".join(said) or f"{sum(map(len, found.values()))} kernels are within their limits")
     if said:

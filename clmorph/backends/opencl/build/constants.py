@@ -59,6 +59,9 @@ class BuildConstants:
     longest_loop: int = 0
     #: Rows of a work-item of the log-sum-exp where they are more than `width`: see `stacks`.
     rows: int = 1
+    #: Work-items of the one group that takes the vectors of a problem in an iteration over all
+    #: pairs: one group has a small share of a card, the larger the group the larger.
+    step_group: int = 1
     #: 1: the device computes in float64, of which iterations and grids need little; 0: it does not.
     float64: int = 1
 
@@ -191,7 +194,7 @@ class BuildConstants:
     def half_step_macros(self) -> dict[str, int | float]:
         """Return the macros of ``half_steps.cl``."""
         return {
-            "GROUP": self.group,
+            "GROUP": self.step_group,
             "LANES": self.lanes,
             "SENTINEL": SENTINEL,
             "TILE": self.tile,
@@ -203,6 +206,7 @@ class BuildConstants:
         """Return the macros of ``sparse_half_steps.cl``."""
         return {
             **self.half_step_macros(),
+            "GROUP": self.group,
             "LARGEST_CHANGE": sparse_half_step_slots.LARGEST_CHANGE,
             **sparse_half_step_slots.macros(),
         }
@@ -235,7 +239,10 @@ def apply_quirks(constants: BuildConstants, quirks: frozenset[str]) -> BuildCons
     """Return constants that work around quirks."""
     made = constants
     if "small_groups" in quirks:
-        made = replace(made, group=min(made.group, 16), tile_group=min(made.tile_group, 4))
+        made = replace(
+            made, group=min(made.group, 16), tile_group=min(made.tile_group, 4),
+            step_group=min(made.step_group, 16),
+        )  # fmt: skip
     if "inexact_exp2" in quirks:
         made = replace(made, exp2_builtin=0)
     if "no_vectors" in quirks:
@@ -249,7 +256,10 @@ def apply_quirks(constants: BuildConstants, quirks: frozenset[str]) -> BuildCons
     if "small_local_memory" in quirks:
         tile = max(16, made.width)
         group = min(made.group, tile // made.width)
-        made = replace(made, tile=tile, group=group, unroll=min(made.unroll, tile))
+        made = replace(
+            made, tile=tile, group=group, step_group=min(made.step_group, 64),
+            unroll=min(made.unroll, tile),
+        )  # fmt: skip
     return made
 
 
@@ -277,10 +287,12 @@ def lanes_constants(largest_group: int) -> BuildConstants:
     every number read is used for some rows: four, because with eight it takes minutes to compile.
     """
     sides = (8, 4, 2, 1)
+    group = next(group for group in (16, *sides) if group <= largest_group)
     return BuildConstants(
         width=4,
         tile=64,
-        group=next(group for group in (16, *sides) if group <= largest_group),
+        group=group,
+        step_group=group,
         unroll=4,
         exp2_builtin=0,
         precise=2,
@@ -305,4 +317,5 @@ def gpu_constants(largest_group: int) -> BuildConstants:
         tile_group=next(side for side in (16, 8, 4, 2, 1) if side**2 <= largest_group),
         slices_per_unit=64,
         rows=4 if largest_group >= 4 else 1,
+        step_group=1 << min(8, largest_group.bit_length() - 1),
     )

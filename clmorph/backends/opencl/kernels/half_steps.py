@@ -246,9 +246,9 @@ class HalfSteps(ResidentSteps):
         return [cl.enqueue_copy(self._work.queue, buffer, table, is_blocking=False)]
 
     def _launches(self, iteration: DeviceIteration, prepare: bool) -> Iterator[Launch]:
-        constants, (rows, columns) = self._loop.constants, iteration.sides
+        items, (rows, columns) = self._loop.constants.step_group, iteration.sides
         problems = iteration.numbers.size // len(NUMBERS)
-        group, whole = (constants.group,), (constants.group * problems,)
+        group, whole = (items,), (items * problems,)
         kernel = self._softmin_kernel(iteration)
         if prepare:
             yield "prepare_rows", whole, group
