@@ -20,18 +20,13 @@
 //
 // Launch: as in row_loop.cl.
 //
-// -D LISTED        must be 1
-// -D MANY_EIGHTHS  a mask with more than this many eighths of its bits gets all of them (speed only)
+// -D LISTED  must be 1
 
 #include "row_loop.cl"
 
 #if !LISTED
 #error "LISTED must be 1: columns are those of listed tiles"
 #endif
-#ifndef MANY_EIGHTHS
-#define MANY_EIGHTHS 5 // then all columns take less time, without a look at bits: 11.7 slots a pair on sm_90, not 18.4
-#endif
-
 // Rounding of B, relative to the sum of its terms' sizes: half a square has 3, its place in the sums 4 + DIM.
 #define BOUND_ROUNDING ((DIM + 12) * 5.9604645e-8f) // 2^-24 for each of them, and a reserve
 #define BOUND_TERMS (3 * DIM + 1) // center, half sides and slopes of a tile, and its level: -r or A'
@@ -168,6 +163,7 @@ INLINE ulong united(const ulong bits, __local ulong* of_items)
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void mark_columns(
     CLOUD_ARGUMENTS,
+    const uint many_eighths, // a mask with more than so many eighths of its bits gets all, for speed
     const __global float* restrict row_limits, // (n_rows,) of this launch
     const __global float* restrict row_slopes, // (row tiles, DIM) of limits, for bounds, as all up to `counts`
     const __global float* restrict box_lows,   // (DIM, column tiles * WIDTH) of v in each box
@@ -225,7 +221,7 @@ void mark_columns(
                     bits |= columns_above(u[block], staged, 64 * w + c, limits[block]) << c;
                 }
                 bits = united(bits, of_items);
-                if (8 * (int)popcount(bits) > MANY_EIGHTHS * (TILE < 64 ? TILE : 64))
+                if (8 * (uint)popcount(bits) > many_eighths * (TILE < 64 ? TILE : 64))
                     bits = ALL_COLUMNS;
                 count += popcount(bits);
                 if (get_local_id(0) == 0)

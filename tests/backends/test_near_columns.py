@@ -6,8 +6,11 @@ from clouds import column_masks
 
 import clmorph
 from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.opencl import column_rates, probe
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
+from clmorph.backends.opencl.devices import verdicts
+from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, USUAL_EIGHTHS
 
 #: The share of a row's sum that may be left out.
 BUDGET = 1e-6
@@ -146,3 +149,48 @@ def test_bounds_over_rows_change_no_mask(device, monkeypatch, bounds):
     assert np.array_equal(found[0], expected)
     # Where no bound is formed, the text is not compiled.
     assert np.array_equal(found[1], expected) != device.constants.bounds_first
+
+
+@pytest.mark.parametrize(
+    ("seconds", "eighths"),
+    [((1, 5, 4), 4), ((1, 5, 9), 8), ((1, 5, 1), 1), ((2, 2, 1), 8), ((1, 3, 4), 7)],
+)
+def test_tiles_are_whole_where_that_is_faster(monkeypatch, seconds, eighths):
+    """From the seconds of an eighth of the columns, of five and of all."""
+    taken = dict(zip((1, 5, 8), seconds, strict=True))
+    monkeypatch.setattr(column_rates, "_chosen_seconds", lambda _, points, chosen: taken[chosen])
+    assert column_rates.many_eighths(None, 1e9) == eighths
+
+
+def test_rates_of_chosen_columns_are_measured(device, monkeypatch):
+    """More columns take more time; tiles of which few columns are near are whole by the record."""
+    few, whole = (column_rates._chosen_seconds(device, 512, eighths) for eighths in (1, 8))
+    assert 0 < few < whole
+
+    def pairs(eighths):
+        record = {"usable": True, "reason": "", "pairs_per_second": 1e9, MANY_EIGHTHS: eighths}
+        monkeypatch.setattr(verdicts, "load_verdict", lambda _: record)
+        backend = OpenCLOperations(device.device, device.constants, verify=False)
+        own, g, want, epsilon = clouds(backend, 24, 0.05, np.random.default_rng(0))
+        near = backend.near_pairs(*own, g, want, epsilon, BUDGET)
+        assert missing(near.softmin, want, near, epsilon) <= 2e-5
+        return near.n_pairs
+
+    chosen = pairs(8)
+    assert pairs(1) > 1.1 * chosen
+    assert pairs("8") == pairs(None) == pairs(USUAL_EIGHTHS)
+
+
+@pytest.mark.parametrize("on_processor", [False, True])
+def test_a_cards_first_use_measures_chosen_columns(device, monkeypatch, on_processor):
+    def operations(*arguments, **options):
+        made = OpenCLOperations(*arguments, **options)
+        made.on_processor = on_processor
+        return made
+
+    monkeypatch.setattr(probe, "OpenCLOperations", operations)
+    monkeypatch.setattr(probe, "raw_devices", lambda: [("0:0", device.device)])
+    monkeypatch.setattr(probe, "first_failure", lambda *_: "")
+    monkeypatch.setattr(probe, "throughput", lambda *_: 2e9)
+    monkeypatch.setattr(probe, "many_eighths", lambda _, rate: 3 if rate == 2e9 else 0)
+    assert probe.probe("0:0").get(MANY_EIGHTHS) == (None if on_processor else 3)

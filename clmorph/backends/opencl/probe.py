@@ -19,6 +19,7 @@ from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
 from clmorph.backends.opencl.build.programs import program_key, read_request
 from clmorph.backends.opencl.build.variants import Variant, further_variants, usual_variants
+from clmorph.backends.opencl.column_rates import many_eighths
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.devices.throughput import throughput
 from clmorph.backends.opencl.devices.trial import (
@@ -29,7 +30,7 @@ from clmorph.backends.opencl.devices.trial import (
     VERDICT,
     WITHOUT,
 )
-from clmorph.backends.opencl.devices.verdicts import SLOW_FLOAT64, condemns
+from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, SLOW_FLOAT64, condemns
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import ClmorphError
 
@@ -53,7 +54,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
     if index not in found:
         return _failure("its probe did not find it", lasting=False)
     constants, variants = None, list(usual_variants())
-    device, speed = found[index], 0.0
+    device, speed, eighths = found[index], 0.0, 0
     skipped = request.split() if request and request.startswith(WITHOUT) else []
     if skipped:
         request = None
@@ -86,11 +87,15 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
                 return _failure(reason, lasting)
         if request is None:
             speed = throughput(operations, TIMED_POINTS)
+            if not operations.on_processor:
+                eighths = many_eighths(operations, speed)
     except Exception as error:  # a driver's errors come in any class; the reason is shown
         return _failure(_words(error), lasting=not _is_passing(error, device))
     verdict = {"usable": True, "reason": "", "pairs_per_second": speed, "lasting": True}
     if request is None and constants.precise < choose_constants(device).precise:
         verdict[SLOW_FLOAT64] = True
+    if eighths:
+        verdict[MANY_EIGHTHS] = eighths
     return verdict
 
 

@@ -23,6 +23,9 @@ WRONG = "wrong result of "
 OPTIONAL = ("half_steps.cl", "sparse_half_steps.cl")
 #: The entry of a verdict on a device that is slower in float64 than in pairs of float32.
 SLOW_FLOAT64 = "slow_float64"
+#: Name of the entry with the result of `devices.throughput.many_eighths`, and what it is on
+#: processors, which are not measured.
+MANY_EIGHTHS, USUAL_EIGHTHS = "many_eighths", 5
 #: What the reason of a verdict begins with if the driver ended the process of the check.
 CRASHED = "its driver crashed"
 #: The folders of verdicts on devices and on programs in the cache, with one file for each verdict.
@@ -112,6 +115,12 @@ def probed_speed(device: "cl.Device") -> float:
         part = False
     verdict = None if part else load_verdict(verdict_key(device))
     return float((verdict or {}).get("pairs_per_second", 0.0))
+
+
+def probed_eighths(device: "cl.Device") -> int:
+    """Return of how many eighths of a tile's columns on the device is faster with all of them."""
+    found = (load_verdict(verdict_key(device)) or {}).get(MANY_EIGHTHS)
+    return found if type(found) is int and 0 < found <= 8 else USUAL_EIGHTHS
 
 
 def save_verdict(key: str, verdict: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.devices.verdicts import probed_eighths
 from clmorph.backends.opencl.kernels.candidates import candidates
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.column_boxes import ColumnBoxes, column_boxes
@@ -48,8 +49,12 @@ class _Kept(NamedTuple):
 class NearField:
     """Finds the pairs that contribute to the rows' sums."""
 
+    #: Of more than this many eighths of a tile's columns all are summed: chosen ones take longer.
+    many_eighths: int
+
     def __init__(self, loop: RowLoop, log_sum_exp: LogSumExp) -> None:
         self._loop, self._log_sum_exp = loop, log_sum_exp
+        self.many_eighths = probed_eighths(loop.work.device)
         self._bounds = TileBoundKernel(loop)
 
     def near_pairs(
@@ -158,7 +163,7 @@ class NearField:
             found = counts[pairs.section(launch)], masks[pairs.section(launch)]
             buffers = [loop.work.empty(values.nbytes) for values in found]
             loop.launch(
-                kernel, rows, columns, exponents, launch,
+                kernel, rows, columns, exponents, launch, np.uint32(self.many_eighths),
                 loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), slopes, *boxes, *buffers,
                 pairs=pairs, levels=levels, results=tuple(zip(found, buffers, strict=True)),
             )  # fmt: skip
