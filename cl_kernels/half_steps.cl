@@ -1,8 +1,8 @@
-// A Sinkhorn iteration between two softmins over all pairs, float64, of one problem or of many. Its formulas,
-// those of Algorithm 1 of Sejourne, Vialard and Peyre (2022), stand in vector_steps.cl. The four launches of an
-// iteration are log_sum_exp (rows), row_step, log_sum_exp (columns), column_step; prepare_rows comes before them
-// where the host has set g. Each kernel first joins the softmin that log_sum_exp.cl has computed, and last
-// prepares the next one.
+// A Sinkhorn iteration between two softmins over all pairs, of one problem or of many, in the numbers of reals.cl.
+// Its formulas, those of Algorithm 1 of Sejourne, Vialard and Peyre (2022), stand in vector_steps.cl. The four
+// launches of an iteration are log_sum_exp (rows), row_step, log_sum_exp (columns), column_step; prepare_rows comes
+// before them where the host has set g. Each kernel first joins the softmin that log_sum_exp.cl has computed, and
+// last prepares the next one.
 //
 // Shapes: n points of the rows and m of the columns, those of all problems one after the other, each problem
 // padded to whole tiles by points without mass. `problems` has a line for each problem, see PROBLEM.
@@ -17,7 +17,7 @@
 // The last two change in each iteration. They are arguments of the kernels if there is one problem, and 0 here; of
 // many problems they stand here, and the arguments are 0.
 #define PROBLEM(field) problems[get_group_id(0) * PROBLEM_COUNT + PROBLEM_##field]
-#define RADIUS (only_radius + as_double(((ulong)PROBLEM(RADIUS_HIGH) << 32) | PROBLEM(RADIUS_LOW)))
+#define RADIUS PLUS(only_radius, OF_BITS(PROBLEM(RADIUS_LOW), PROBLEM(RADIUS_HIGH)))
 #define PROBLEM_SETUP                                                                          \
     const uint own_n = PROBLEM(N), own_m = PROBLEM(M), control = only_control | PROBLEM(CONTROL); \
     const uint first_tiles[2] = {PROBLEM(FIRST_ROW) / TILE, PROBLEM(FIRST_COLUMN) / TILE};     \
@@ -31,12 +31,12 @@
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void prepare_rows(
     const __global uint* restrict problems, const uint only_control,
-    const uint n, const uint m, const uint planes, const uint n_listed, const double k,
-    const __global double* restrict start,       // (m,): the host's g
-    __global double* restrict columns,           // (slots, m)
-    const __global double* restrict tile_costs,  // of pairs of tiles, rows first
-    __global double* restrict tile_max,          // (largest number of tiles,)
-    __global double* restrict row_level,         // (n / TILE,)
+    const uint n, const uint m, const uint planes, const uint n_listed, const real k,
+    const __global real* restrict start,       // (m,): the host's g
+    __global real* restrict columns,           // (slots, m)
+    const __global real* restrict tile_costs,  // of pairs of tiles, rows first
+    __global real* restrict tile_max,          // (largest number of tiles,)
+    __global real* restrict row_level,         // (n / TILE,)
     __global float* restrict logits,             // (2, m)
     __global float* restrict levels)             // see prepare_softmin
 {
@@ -50,35 +50,37 @@ void prepare_rows(
 }
 
 // The logarithm of sum_i weights_i exp(-rate potential_i), by its largest term; 0 if nothing needs it.
-INLINE double log_sum(
-    const __global double* log_weights, const __global double* potential, const uint size,
-    const double rate, const bool needed, __local double* shared)
+INLINE real log_sum(
+    const __global real* log_weights, const __global real* potential, const uint size,
+    const real rate, const bool needed, __local real* shared)
 {
     const uint end = needed ? size : 0; // without it the sum is 1
-    vdouble most = (vdouble)(-INFINITY), sum = (vdouble)(needed ? 0.0 : 1.0 / (GROUP * LANES));
+    reals most = REALS(-INFINITY), sum = REALS(needed ? 0.0f : 1.0f / (GROUP * LANES));
     for (uint i = FIRST; i < end; i += STEP)
-        most = fmax(most, log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate));
-    const double top = group_largest(needed ? largest_lane(most) : 0.0, shared);
+        most = LARGER(most, log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate));
+    const real top = group_largest(needed ? largest_lane(most) : REAL(0), shared);
     for (uint i = FIRST; i < end; i += STEP)
-        sum += exp(log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate) - (vdouble)(top));
-    return top + log(group_sum(sum_of_lanes(sum), shared));
+        sum = PLUS(sum, EXP(MINUS(log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate), SPREAD(top))));
+    return PLUS(top, LOG(group_sum(sum_of_lanes(sum), shared)));
 }
 
 // The part of the dual that belongs to a potential: <weights, rho (1 - exp(-potential / rho))>.
-INLINE double dual_part(
-    const __global double* weights, const __global double* potential, const uint size,
-    const double inverse_rho, __local double* shared)
+INLINE real dual_part(
+    const __global real* weights, const __global real* potential, const uint size,
+    const real inverse_rho, __local real* shared)
 {
-    vdouble sum = (vdouble)(0.0);
-    if (inverse_rho == 0.0)
+    const bool balanced = !IS_BELOW(REAL(0), inverse_rho);
+    reals sum = REALS(0);
+    if (balanced)
         for (uint i = FIRST; i < size; i += STEP)
-            sum += DLOAD(i, weights) * DLOAD(i, potential);
+            sum = PLUS(sum, TIMES(DLOAD(i, weights), DLOAD(i, potential)));
     else // without the cancellation at large rho
-        for (uint i = FIRST; i < size; i += STEP)
-            sum -= DLOAD(i, weights)
-                * expm1(fmin(-DLOAD(i, potential) * (vdouble)(inverse_rho), (vdouble)((double)MAX_EXPONENT)));
-    const double found = group_sum(sum_of_lanes(sum), shared);
-    return inverse_rho == 0.0 ? found : found / inverse_rho;
+        for (uint i = FIRST; i < size; i += STEP) {
+            const reals scaled = TIMES(NEGATIVE(DLOAD(i, potential)), SPREAD(inverse_rho));
+            sum = MINUS(sum, TIMES(DLOAD(i, weights), EXPM1(SMALLER(scaled, REALS(MAX_EXPONENT)))));
+        }
+    const real found = group_sum(sum_of_lanes(sum), shared);
+    return balanced ? found : OVER(found, inverse_rho);
 }
 
 // After T(g): f, the shift of g, and the dual. Then the softmin of the columns, T(f), is prepared.
@@ -90,19 +92,19 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void row_step(
     const __global uint* restrict problems, const uint only_control,
     const uint n, const uint m, const uint shares, const uint planes, const uint n_listed,
-    const double k, const double epsilon, const double inverse_rho_source,
-    const double inverse_rho_target,
+    const real k, const real epsilon, const real inverse_rho_source,
+    const real inverse_rho_target,
     const __global float* restrict maxima,       // (shares, n)
     const __global float* restrict sums,         // (shares, n)
-    const __global double* restrict row_level,   // (n / TILE,): of this softmin
-    __global double* restrict rows,              // (slots, n)
-    __global double* restrict columns,           // (slots, m)
-    const __global double* restrict tile_costs,  // of pairs of tiles, columns first
-    __global double* restrict tile_max,          // (largest number of tiles,)
-    __global double* restrict next_level,        // (m / TILE,): of the next softmin
+    const __global real* restrict row_level,   // (n / TILE,): of this softmin
+    __global real* restrict rows,              // (slots, n)
+    __global real* restrict columns,           // (slots, m)
+    const __global real* restrict tile_costs,  // of pairs of tiles, columns first
+    __global real* restrict tile_max,          // (largest number of tiles,)
+    __global real* restrict next_level,        // (m / TILE,): of the next softmin
     __global float* restrict logits,             // (2, n): of the next softmin
     __global float* restrict levels,             // see prepare_softmin
-    __global double* restrict numbers)           // (problems, NUMBER_COUNT)
+    __global real* restrict numbers)           // (problems, NUMBER_COUNT)
 {
     PROBLEM_SETUP;
     rows += PROBLEM(FIRST_ROW);
@@ -110,33 +112,36 @@ void row_step(
     sums += PROBLEM(FIRST_ROW);
     row_level += first_tiles[0];
     numbers += get_group_id(0) * NUMBER_COUNT;
-    __local double shared[GROUP];
-    const double damping = damping_of(epsilon, inverse_rho_source);
-    const double rate = inverse_rho_source * damping, rates = rate + inverse_rho_target;
-    vdouble unusual = (vdouble)(0.0); // not a number if a softmin is not finite
+    __local real shared[GROUP];
+    const real damping = damping_of(epsilon, inverse_rho_source);
+    const real rate = TIMES(inverse_rho_source, damping), rates = PLUS(rate, inverse_rho_target);
+    const bool needed = IS_BELOW(REAL(0), rates);
+    reals unusual = REALS(0); // not a number if a softmin is not finite
     for (uint i = FIRST; i < own_n; i += STEP) {
-        const vdouble softmin = softmin_of(maxima, sums, row_level, ROW(ROW_OWN_COSTS), shares, n, k, i);
+        const reals softmin = softmin_of(maxima, sums, row_level, ROW(ROW_OWN_COSTS), shares, n, k, i);
         DSTORE(softmin, i, ROW(ROW_SOFTMIN));
-        unusual += softmin * (vdouble)(0.0);
+        unusual = PLUS(unusual, TIMES(softmin, REALS(0)));
     }
-    const double finite = group_sum(sum_of_lanes(unusual), shared);
-    const double shift = translation(
-        log_sum(COLUMN(COLUMN_LOG_WEIGHTS), COLUMN(G_AT), own_m, inverse_rho_target, rates > 0.0, shared),
-        log_sum(ROW(ROW_LOG_WEIGHTS), ROW(ROW_SOFTMIN), own_n, rate, rates > 0.0, shared), rates);
-    vdouble mass = (vdouble)(0.0);
+    const real finite = group_sum(sum_of_lanes(unusual), shared);
+    const real shift = translation(
+        log_sum(COLUMN(COLUMN_LOG_WEIGHTS), COLUMN(G_AT), own_m, inverse_rho_target, needed, shared),
+        log_sum(ROW(ROW_LOG_WEIGHTS), ROW(ROW_SOFTMIN), own_n, rate, needed, shared), rates);
+    reals mass = REALS(0);
     for (uint i = FIRST; i < own_n; i += STEP) {
-        const vdouble softmin = DLOAD(i, ROW(ROW_SOFTMIN)) - (vdouble)(shift);
-        const vdouble f = (vdouble)(damping) * softmin;
+        const reals softmin = MINUS(DLOAD(i, ROW(ROW_SOFTMIN)), SPREAD(shift));
+        const reals f = TIMES(SPREAD(damping), softmin);
         DSTORE(softmin, i, ROW(ROW_SOFTMIN));
         DSTORE(f, i, ROW(ROW_F));
-        mass += marginal(DLOAD(i, ROW(ROW_WEIGHTS)), DLOAD(i, ROW(ROW_LOG_WEIGHTS)), f, softmin, epsilon);
+        mass = PLUS(mass, marginal(
+            DLOAD(i, ROW(ROW_WEIGHTS)), DLOAD(i, ROW(ROW_LOG_WEIGHTS)), f, softmin, epsilon));
     }
     for (uint i = FIRST; i < own_m; i += STEP)
-        DSTORE(DLOAD(i, COLUMN(G_AT)) + (vdouble)(shift), i, COLUMN(COLUMN_SHIFTED));
-    const double plan_mass = group_sum(sum_of_lanes(mass), shared);
-    const double dual = -epsilon * plan_mass
-        + dual_part(ROW(ROW_WEIGHTS), ROW(ROW_F), own_n, inverse_rho_source, shared)
-        + dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_SHIFTED), own_m, inverse_rho_target, shared);
+        DSTORE(PLUS(DLOAD(i, COLUMN(G_AT)), SPREAD(shift)), i, COLUMN(COLUMN_SHIFTED));
+    const real plan_mass = group_sum(sum_of_lanes(mass), shared);
+    const real dual = PLUS(
+        PLUS(TIMES(NEGATIVE(epsilon), plan_mass),
+             dual_part(ROW(ROW_WEIGHTS), ROW(ROW_F), own_n, inverse_rho_source, shared)),
+        dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_SHIFTED), own_m, inverse_rho_target, shared));
     if (get_local_id(0) == 0) {
         numbers[NUMBER_MASS] = plan_mass;
         numbers[NUMBER_ROW_DUAL] = dual;
@@ -156,22 +161,22 @@ void row_step(
 // each problem.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_step(
-    const __global uint* restrict problems, const uint only_control, const double only_radius,
+    const __global uint* restrict problems, const uint only_control, const real only_radius,
     const uint n, const uint m, const uint shares, const uint planes, const uint n_listed,
-    const double k, const double epsilon, const double inverse_rho_source,
-    const double inverse_rho_target,
+    const real k, const real epsilon, const real inverse_rho_source,
+    const real inverse_rho_target,
     const __global float* restrict maxima,       // (shares, m)
     const __global float* restrict sums,         // (shares, m)
-    const __global double* restrict row_level,   // (m / TILE,): of this softmin
-    __global double* restrict rows,              // (slots, n)
-    __global double* restrict columns,           // (slots, m)
-    const __global double* restrict tile_costs,  // of pairs of tiles, rows first
-    __global double* restrict tile_max,          // (largest number of tiles,)
-    __global double* restrict next_level,        // (n / TILE,): of the next softmin
+    const __global real* restrict row_level,   // (m / TILE,): of this softmin
+    __global real* restrict rows,              // (slots, n)
+    __global real* restrict columns,           // (slots, m)
+    const __global real* restrict tile_costs,  // of pairs of tiles, rows first
+    __global real* restrict tile_max,          // (largest number of tiles,)
+    __global real* restrict next_level,        // (n / TILE,): of the next softmin
     __global float* restrict logits,             // (2, m): of the next softmin
     __global float* restrict levels,             // see prepare_softmin
-    __global double* restrict products,          // (problems, MEMORY, MEMORY)
-    __global double* restrict numbers)           // (problems, NUMBER_COUNT)
+    __global real* restrict products,          // (problems, MEMORY, MEMORY)
+    __global real* restrict numbers)           // (problems, NUMBER_COUNT)
 {
     PROBLEM_SETUP;
     rows += PROBLEM(FIRST_ROW);
@@ -180,55 +185,56 @@ void column_step(
     row_level += first_tiles[1];
     numbers += get_group_id(0) * NUMBER_COUNT;
     products += get_group_id(0) * MEMORY * MEMORY;
-    __local double shared[GROUP];
-    SHARED double system[MEMORY * SYSTEM_ROW];
-    const double row_damping = damping_of(epsilon, inverse_rho_source);
-    const double damping = damping_of(epsilon, inverse_rho_target);
-    const double rate = inverse_rho_target * damping, rates = rate + inverse_rho_source;
-    const bool balanced = inverse_rho_source == 0.0 && inverse_rho_target == 0.0;
-    vdouble farthest = (vdouble)(0.0), unusual = (vdouble)(0.0);
+    __local real shared[GROUP];
+    SHARED real system[MEMORY * SYSTEM_ROW];
+    const real row_damping = damping_of(epsilon, inverse_rho_source);
+    const real damping = damping_of(epsilon, inverse_rho_target);
+    const real rate = TIMES(inverse_rho_target, damping), rates = PLUS(rate, inverse_rho_source);
+    const bool needed = IS_BELOW(REAL(0), rates); // else both sides are balanced
+    reals farthest = REALS(0), unusual = REALS(0);
     for (uint i = FIRST; i < own_n; i += STEP)
-        farthest = fmax(farthest, distance_of(DLOAD(i, ROW(ROW_WEIGHTS)), DLOAD(i, ROW(ROW_F)),
-                                              (vdouble)(row_damping) * DLOAD(i, ROW(ROW_SOFTMIN))));
+        farthest = LARGER(farthest, distance_of(DLOAD(i, ROW(ROW_WEIGHTS)), DLOAD(i, ROW(ROW_F)),
+                                                TIMES(SPREAD(row_damping), DLOAD(i, ROW(ROW_SOFTMIN)))));
     for (uint i = FIRST; i < own_m; i += STEP) {
-        const vdouble softmin = softmin_of(maxima, sums, row_level, COLUMN(COLUMN_OWN_COSTS), shares, m, k, i);
+        const reals softmin = softmin_of(maxima, sums, row_level, COLUMN(COLUMN_OWN_COSTS), shares, m, k, i);
         DSTORE(softmin, i, COLUMN(COLUMN_SOFTMIN));
-        farthest = fmax(farthest, distance_of(DLOAD(i, COLUMN(COLUMN_WEIGHTS)), DLOAD(i, COLUMN(COLUMN_SHIFTED)),
-                                              (vdouble)(damping) * softmin));
-        unusual += softmin * (vdouble)(0.0);
+        farthest = LARGER(farthest, distance_of(DLOAD(i, COLUMN(COLUMN_WEIGHTS)), DLOAD(i, COLUMN(COLUMN_SHIFTED)),
+                                                TIMES(SPREAD(damping), softmin)));
+        unusual = PLUS(unusual, TIMES(softmin, REALS(0)));
     }
-    const double residual = group_largest(largest_lane(farthest), shared) / epsilon;
-    const double finite = group_sum(sum_of_lanes(unusual), shared);
-    const double shift = translation(
-        log_sum(ROW(ROW_LOG_WEIGHTS), ROW(ROW_F), own_n, inverse_rho_source, rates > 0.0, shared),
-        log_sum(COLUMN(COLUMN_LOG_WEIGHTS), COLUMN(COLUMN_SOFTMIN), own_m, rate, rates > 0.0, shared), rates);
+    const real residual = OVER(group_largest(largest_lane(farthest), shared), epsilon);
+    const real finite = group_sum(sum_of_lanes(unusual), shared);
+    const real shift = translation(
+        log_sum(ROW(ROW_LOG_WEIGHTS), ROW(ROW_F), own_n, inverse_rho_source, needed, shared),
+        log_sum(COLUMN(COLUMN_LOG_WEIGHTS), COLUMN(COLUMN_SOFTMIN), own_m, rate, needed, shared), rates);
     for (uint i = FIRST; i < own_n; i += STEP)
-        DSTORE(DLOAD(i, ROW(ROW_F)) + (vdouble)(shift), i, ROW(ROW_SHIFTED));
+        DSTORE(PLUS(DLOAD(i, ROW(ROW_F)), SPREAD(shift)), i, ROW(ROW_SHIFTED));
 
-    vdouble mass = (vdouble)(0.0), square = (vdouble)(0.0);
+    reals mass = REALS(0), square = REALS(0);
     for (uint i = FIRST; i < own_m; i += STEP) {
-        const vdouble softmin = DLOAD(i, COLUMN(COLUMN_SOFTMIN)) - (vdouble)(shift);
-        const vdouble image = (vdouble)(damping) * softmin;
-        const vdouble own = marginal(
+        const reals softmin = MINUS(DLOAD(i, COLUMN(COLUMN_SOFTMIN)), SPREAD(shift));
+        const reals image = TIMES(SPREAD(damping), softmin);
+        const reals own = marginal(
             DLOAD(i, COLUMN(COLUMN_WEIGHTS)), DLOAD(i, COLUMN(COLUMN_LOG_WEIGHTS)), image, softmin, epsilon);
         DSTORE(softmin, i, COLUMN(COLUMN_SOFTMIN));
         DSTORE(own, i, COLUMN(COLUMN_MARGINAL));
-        mass += own;
-        square += remember(columns, m, control, i, image, own);
+        mass = PLUS(mass, own);
+        square = PLUS(square, remember(columns, m, control, i, image, own));
     }
-    const double plan_mass = group_sum(sum_of_lanes(mass), shared);
-    const double dual = -epsilon * plan_mass
-        + dual_part(ROW(ROW_WEIGHTS), ROW(ROW_SHIFTED), own_n, inverse_rho_source, shared)
-        + dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_IMAGE_0 + PARITY), own_m, inverse_rho_target, shared);
+    const real plan_mass = group_sum(sum_of_lanes(mass), shared);
+    const real dual = PLUS(
+        PLUS(TIMES(NEGATIVE(epsilon), plan_mass),
+             dual_part(ROW(ROW_WEIGHTS), ROW(ROW_SHIFTED), own_n, inverse_rho_source, shared)),
+        dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_IMAGE_0 + PARITY), own_m, inverse_rho_target, shared));
 
-    const double longest = RADIUS * sqrt(group_sum(sum_of_lanes(square), shared));
+    const real longest = TIMES(RADIUS, ROOT(group_sum(sum_of_lanes(square), shared)));
     for (uint first = 0; first < COUNT; first += BLOCK) {
-        vdouble of_difference[BLOCK], of_residual[BLOCK];
+        reals of_difference[BLOCK], of_residual[BLOCK];
         sum_products(columns, m, control, first, FIRST, own_m, of_difference, of_residual);
 #pragma unroll
         for (uint k = 0; k < BLOCK; ++k) {
-            const double newest = group_sum(sum_of_lanes(of_difference[k]), shared);
-            const double right = group_sum(sum_of_lanes(of_residual[k]), shared);
+            const real newest = group_sum(sum_of_lanes(of_difference[k]), shared);
+            const real right = group_sum(sum_of_lanes(of_residual[k]), shared);
             if (get_local_id(0) == 0) {
                 SYSTEM(IN_BLOCK(first, k), NEWEST) = newest;
                 SYSTEM(IN_BLOCK(first, k), RIGHT) = right;
@@ -238,27 +244,28 @@ void column_step(
     const bool found = solve_normal(products, PLACE, COUNT, system);
     for (uint j = get_local_id(0); j < COUNT; j += GROUP)
         store_products(products, SYSTEM(j, NEWEST), j, PLACE);
-    vdouble length = (vdouble)(0.0), along = (vdouble)(0.0);
+    reals length = REALS(0), along = REALS(0);
     for (uint i = FIRST; i < own_m; i += STEP) {
-        const vdouble step = step_from_image(columns, m, control, i, system);
+        const reals step = step_from_image(columns, m, control, i, system);
         DSTORE(step, i, COLUMN(COLUMN_STEP));
-        length += step * DLOAD(i, COLUMN(COLUMN_MASS)) * step;
-        along += step * DLOAD(i, COLUMN(COLUMN_MARGINAL));
+        length = PLUS(length, TIMES(TIMES(step, DLOAD(i, COLUMN(COLUMN_MASS))), step));
+        along = PLUS(along, TIMES(step, DLOAD(i, COLUMN(COLUMN_MARGINAL))));
     }
-    const double norm = sqrt(group_sum(sum_of_lanes(length), shared));
-    const double factor = limit(norm, longest);
+    const real norm = ROOT(group_sum(sum_of_lanes(length), shared));
+    const real factor = limit(norm, longest);
     // Balanced potentials are unique up to a constant, along which nothing bounds an extrapolation.
-    const double mean = group_sum(sum_of_lanes(along), shared) / plan_mass;
-    const double drift = balanced ? factor * mean : 0.0;
+    const real mean = OVER(group_sum(sum_of_lanes(along), shared), plan_mass);
+    const real drift = needed ? REAL(0) : TIMES(factor, mean);
     for (uint i = FIRST; i < own_m; i += STEP)
-        DSTORE(DLOAD(i, COLUMN(COLUMN_IMAGE_0 + PARITY)) + (vdouble)(factor) * DLOAD(i, COLUMN(COLUMN_STEP))
-                   - (vdouble)(drift), i, COLUMN(COLUMN_GUESS_0 + PARITY));
+        DSTORE(MINUS(PLUS(DLOAD(i, COLUMN(COLUMN_IMAGE_0 + PARITY)),
+                          TIMES(SPREAD(factor), DLOAD(i, COLUMN(COLUMN_STEP)))), SPREAD(drift)),
+               i, COLUMN(COLUMN_GUESS_0 + PARITY));
     if (get_local_id(0) == 0) {
         numbers[NUMBER_RESIDUAL_SIZE] = residual;
         numbers[NUMBER_COLUMN_DUAL] = dual;
         numbers[NUMBER_COLUMN_FINITE] = finite;
-        numbers[NUMBER_FOUND] = found;
-        numbers[NUMBER_CUT] = found && norm > longest;
+        numbers[NUMBER_FOUND] = REAL(found);
+        numbers[NUMBER_CUT] = REAL(found && IS_BELOW(longest, norm));
     }
     // Without an extrapolation the image itself is next.
     const uint next_at = (found ? COLUMN_GUESS_0 : COLUMN_IMAGE_0) + PARITY;

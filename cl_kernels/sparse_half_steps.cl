@@ -1,6 +1,6 @@
-// A Sinkhorn iteration over the stored pairs of a plan, float64: the half-steps of half_steps.cl on the sparse
-// kernel that sum_stored of sliced_ellpack.cl sums, in many work-groups. The formulas, those of Algorithm 1 of
-// Sejourne, Vialard and Peyre (2022), stand in vector_steps.cl.
+// A Sinkhorn iteration over the stored pairs of a plan: the half-steps of half_steps.cl on the sparse
+// kernel that sum_stored of sliced_ellpack.cl sums, in many work-groups, in the numbers of reals.cl. The formulas,
+// those of Algorithm 1 of Sejourne, Vialard and Peyre (2022), stand in vector_steps.cl.
 //
 // Each kernel is one stage. Every work-group leaves what it has found of each sum in `partials`, and in the next
 // stage every work-group joins these few numbers for itself. The nine launches of an iteration, after
@@ -48,84 +48,91 @@
 
 // The softmin of LANES rows from i on, from sums over stored pairs: `base` where the logarithm of the sum is
 // 0, and what it was for rows without a stored pair.
-INLINE vdouble stored_softmin(
-    const __global float* maxima, const __global float* sums, const __global double* base,
-    const __global double* alone, const double middle, const double k, const uint i)
+INLINE reals stored_softmin(
+    const __global float* maxima, const __global float* sums, const __global real* base,
+    const __global real* alone, const real middle, const real k, const uint i)
 {
-    const vdouble m = TO_VDOUBLE(SLOAD(i, maxima));
-    const vdouble logarithm = m + (vdouble)(middle) + log2(TO_VDOUBLE(SLOAD(i, sums)));
-    const vdouble softmin = DLOAD(i, base) - logarithm * (vdouble)(1.0 / k);
-    return m > (vdouble)(0.4 * (double)SENTINEL) ? softmin : DLOAD(i, alone);
+    const reals m = TO_REALS(SLOAD(i, maxima));
+    const reals logarithm = PLUS(PLUS(m, SPREAD(middle)), LOG2(TO_REALS(SLOAD(i, sums))));
+    const reals softmin = MINUS(DLOAD(i, base), TIMES(logarithm, SPREAD(OVER(REAL(1), k))));
+    return BELOW(REALS(0.4f * SENTINEL), m, softmin, DLOAD(i, alone));
 }
 
 // What sum_stored takes of a potential, before the middle is subtracted.
-INLINE vdouble change_of(
-    const vdouble potential, const vdouble origin, const vdouble weights, const double k)
+INLINE reals change_of(
+    const reals potential, const reals origin, const reals weights, const real k)
 {
-    const vdouble most = (vdouble)((double)LARGEST_CHANGE);
-    const vdouble change = fmin(fmax((potential - origin) * (vdouble)(k), -most), most);
-    return weights > (vdouble)(0.0) ? change : (vdouble)(0.0);
+    const reals change = TIMES(MINUS(potential, origin), SPREAD(k));
+    const reals limited = SMALLER(LARGER(change, REALS(-LARGEST_CHANGE)), REALS(LARGEST_CHANGE));
+    return BELOW(REALS(0), weights, limited, REALS(0));
 }
 
 // Leave the sum over the group, or the largest.
-INLINE void leave(const double own, const bool largest, __global double* left, __local double* shared)
+INLINE void leave(const real own, const bool largest, __global real* left, __local real* shared)
 {
-    const double found = group_reduced(own, largest, shared);
+    const real found = group_reduced(own, largest, shared);
     if (get_local_id(0) == 0)
         left[get_group_id(0)] = found;
 }
 
 // The sum, or the largest, of what all groups have left, the same in every item.
-INLINE double joined(
-    const __global double* left, const uint groups, const bool largest, __local double* shared)
+INLINE real joined(
+    const __global real* left, const uint groups, const bool largest, __local real* shared)
 {
-    double found = largest ? -INFINITY : 0.0;
+    real found = REAL(largest ? -INFINITY : 0.0f);
     for (uint group = get_local_id(0); group < groups; group += GROUP)
-        found = largest ? fmax(found, left[group]) : found + left[group];
+        found = largest ? LARGER(found, left[group]) : PLUS(found, left[group]);
     return group_reduced(found, largest, shared);
 }
 
 // Leave the largest term of sum_i weights_i exp(-rate potential_i) in the group, and the sum relative to it;
 // that of no terms if nothing needs it. The loops are plain counted ones before the barriers of the reductions.
 INLINE void leave_log_sum(
-    const __global double* log_weights, const __global double* potential, const uint size,
-    const double rate, const bool needed, __global double* tops, __global double* sums,
-    __local double* shared)
+    const __global real* log_weights, const __global real* potential, const uint size,
+    const real rate, const bool needed, __global real* tops, __global real* sums,
+    __local real* shared)
 {
     const uint end = needed ? OWN_END(size) : 0;
-    vdouble most = (vdouble)(-INFINITY), sum = (vdouble)(0.0);
+    reals most = REALS(-INFINITY), sum = REALS(0);
     for (uint i = OWN_FIRST(size); i < end; i += STEP)
-        most = fmax(most, log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate));
-    const double found = group_largest(largest_lane(most), shared);
-    const double top = found > -INFINITY ? found : 0.0;
+        most = LARGER(most, log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate));
+    const real found = group_largest(largest_lane(most), shared);
+    const real top = IS_BELOW(REAL(-INFINITY), found) ? found : REAL(0);
     for (uint i = OWN_FIRST(size); i < end; i += STEP)
-        sum += exp(log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate) - (vdouble)(top));
+        sum = PLUS(sum, EXP(MINUS(log_scaled(DLOAD(i, log_weights), DLOAD(i, potential), rate), SPREAD(top))));
     leave(sum_of_lanes(sum), false, sums, shared);
     if (get_local_id(0) == 0)
         tops[get_group_id(0)] = found;
 }
 
 // The logarithm of that sum over all groups; not used if nothing needed it.
-INLINE double joined_log_sum(
-    const __global double* tops, const __global double* sums, const uint groups, __local double* shared)
+INLINE real joined_log_sum(
+    const __global real* tops, const __global real* sums, const uint groups, __local real* shared)
 {
-    const double top = joined(tops, groups, true, shared);
-    double found = 0.0;
+    const real top = joined(tops, groups, true, shared);
+    real found = REAL(0);
     for (uint group = get_local_id(0); group < groups; group += GROUP)
-        found += sums[group] * exp(tops[group] - top);
-    return top + log(group_sum(found, shared));
+        found = PLUS(found, TIMES(sums[group], EXP(MINUS(tops[group], top))));
+    return PLUS(top, LOG(group_sum(found, shared)));
 }
 
-INLINE double mass_of(const double log_mass)
+// The logarithm of the plan's mass after a half-step, whose sum `after` has moved with its shift.
+INLINE real log_mass_of(
+    const real after, const real shift, const real rate, const real rates, const real side_mass)
 {
-    return exp(fmin(log_mass, (double)MAX_EXPONENT));
+    return IS_BELOW(REAL(0), rates) ? PLUS(after, TIMES(shift, rate)) : LOG(side_mass);
+}
+
+INLINE real mass_of(const real log_mass)
+{
+    return EXP(SMALLER(log_mass, REAL(MAX_EXPONENT)));
 }
 
 // The part of the dual that belongs to a side: `along` is <weights, potential>.
-INLINE double dual_part(
-    const double side_mass, const double plan_mass, const double along, const double inverse_rho)
+INLINE real dual_part(
+    const real side_mass, const real plan_mass, const real along, const real inverse_rho)
 {
-    return inverse_rho == 0.0 ? along : (side_mass - plan_mass) / inverse_rho;
+    return IS_BELOW(REAL(0), inverse_rho) ? OVER(MINUS(side_mass, plan_mass), inverse_rho) : along;
 }
 
 // What sum_stored takes of a new g: the host's, which is kept, or one of the columns' vectors.
@@ -133,20 +140,20 @@ INLINE double dual_part(
 // Shapes: g, changes (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void prepare_changes(
-    const uint m, const uint control, const double k,
-    const __global double* restrict start,          // (m,): the host's g
-    const __global double* restrict given_columns,  // (slots, m)
-    __global double* restrict columns,              // (slots, m)
+    const uint m, const uint control, const real k,
+    const __global real* restrict start,          // (m,): the host's g
+    const __global real* restrict given_columns,  // (slots, m)
+    __global real* restrict columns,              // (slots, m)
     __global float* restrict changes,               // (m,)
-    __global double* restrict numbers)
+    __global real* restrict numbers)
 {
-    const double middle = numbers[NUMBER_COLUMN_NEXT];
+    const real middle = numbers[NUMBER_COLUMN_NEXT];
     for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
         if (G_AT == COLUMN_START)
             DSTORE(DLOAD(i, start), i, COLUMN(COLUMN_START));
-        const vdouble change = change_of(DLOAD(i, COLUMN(G_AT)), DLOAD(i, COLUMN_GIVEN(GIVEN_ORIGIN)),
+        const reals change = change_of(DLOAD(i, COLUMN(G_AT)), DLOAD(i, COLUMN_GIVEN(GIVEN_ORIGIN)),
                                          DLOAD(i, COLUMN_GIVEN(GIVEN_WEIGHTS)), k);
-        SSTORE(TO_VSINGLE(change - (vdouble)(middle)), i, changes);
+        SSTORE(TO_VSINGLE(MINUS(change, SPREAD(middle))), i, changes);
     }
     if (get_global_id(0) == 0)
         numbers[NUMBER_COLUMN_MIDDLE] = middle;
@@ -158,28 +165,28 @@ void prepare_changes(
 // 4: no number if a softmin is not finite. Shapes: T(g) (n,), g (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void row_softmins(
-    const uint n, const uint m, const uint control, const double k, const double epsilon,
-    const double inverse_rho_source, const double inverse_rho_target,
+    const uint n, const uint m, const uint control, const real k, const real epsilon,
+    const real inverse_rho_source, const real inverse_rho_target,
     const __global float* restrict maxima,          // (n,)
     const __global float* restrict sums,            // (n,)
-    const __global double* restrict given_rows,     // (slots, n)
-    const __global double* restrict given_columns,  // (slots, m)
-    __global double* restrict rows,                 // (slots, n)
-    const __global double* restrict columns,        // (slots, m)
-    __global double* restrict partials,             // (2, PARTIALS, groups)
-    const __global double* restrict numbers)
+    const __global real* restrict given_rows,     // (slots, n)
+    const __global real* restrict given_columns,  // (slots, m)
+    __global real* restrict rows,                 // (slots, n)
+    const __global real* restrict columns,        // (slots, m)
+    __global real* restrict partials,             // (2, PARTIALS, groups)
+    const __global real* restrict numbers)
 {
-    __local double shared[GROUP];
+    __local real shared[GROUP];
     const uint groups = get_num_groups(0);
-    const double middle = numbers[NUMBER_COLUMN_MIDDLE];
-    const double rate = inverse_rho_source * damping_of(epsilon, inverse_rho_source);
-    const bool needed = rate + inverse_rho_target > 0.0;
-    vdouble unusual = (vdouble)(0.0);
+    const real middle = numbers[NUMBER_COLUMN_MIDDLE];
+    const real rate = TIMES(inverse_rho_source, damping_of(epsilon, inverse_rho_source));
+    const bool needed = IS_BELOW(REAL(0), PLUS(rate, inverse_rho_target));
+    reals unusual = REALS(0);
     for (uint i = OWN_FIRST(n); i < OWN_END(n); i += STEP) {
-        const vdouble softmin = stored_softmin(
+        const reals softmin = stored_softmin(
             maxima, sums, ROW_GIVEN(GIVEN_BASE), ROW_GIVEN(GIVEN_ALONE), middle, k, i);
         DSTORE(softmin, i, ROW(ROW_SOFTMIN));
-        unusual += softmin * (vdouble)(0.0);
+        unusual = PLUS(unusual, TIMES(softmin, REALS(0)));
     }
     leave_log_sum(ROW_GIVEN(GIVEN_LOG_WEIGHTS), ROW(ROW_SOFTMIN), n, rate, needed,
                   LEFT(0, 0), LEFT(0, 1), shared);
@@ -195,47 +202,47 @@ void row_softmins(
 // largest moves; 5, 6: <a, f> and <b, g>. Shapes: T(g), f, changes (n,), g (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void row_step(
-    const uint n, const uint m, const uint control, const double k, const double epsilon,
-    const double inverse_rho_source, const double inverse_rho_target, const double source_mass,
-    const __global double* restrict given_rows,     // (slots, n)
-    const __global double* restrict given_columns,  // (slots, m)
-    __global double* restrict rows,                 // (slots, n)
-    __global double* restrict columns,              // (slots, m)
+    const uint n, const uint m, const uint control, const real k, const real epsilon,
+    const real inverse_rho_source, const real inverse_rho_target, const real source_mass,
+    const __global real* restrict given_rows,     // (slots, n)
+    const __global real* restrict given_columns,  // (slots, m)
+    __global real* restrict rows,                 // (slots, n)
+    __global real* restrict columns,              // (slots, m)
     __global float* restrict changes,               // (n,)
-    __global double* restrict partials,             // (2, PARTIALS, groups)
-    __global double* restrict numbers)
+    __global real* restrict partials,             // (2, PARTIALS, groups)
+    __global real* restrict numbers)
 {
-    __local double shared[GROUP];
+    __local real shared[GROUP];
     const uint groups = get_num_groups(0);
-    const double middle = numbers[NUMBER_ROW_NEXT];
-    const double damping = damping_of(epsilon, inverse_rho_source);
-    const double rate = inverse_rho_source * damping, rates = rate + inverse_rho_target;
-    const double after = joined_log_sum(LEFT(0, 0), LEFT(0, 1), groups, shared);
-    const double before = joined_log_sum(LEFT(0, 2), LEFT(0, 3), groups, shared);
-    const double finite = joined(LEFT(0, 4), groups, false, shared);
-    const double shift = translation(before, after, rates);
-    vdouble up = (vdouble)(-INFINITY), down = up, moved_up = up, moved_down = up;
-    vdouble moved = (vdouble)(0.0), along = (vdouble)(0.0), other_along = (vdouble)(0.0);
+    const real middle = numbers[NUMBER_ROW_NEXT];
+    const real damping = damping_of(epsilon, inverse_rho_source);
+    const real rate = TIMES(inverse_rho_source, damping), rates = PLUS(rate, inverse_rho_target);
+    const real after = joined_log_sum(LEFT(0, 0), LEFT(0, 1), groups, shared);
+    const real before = joined_log_sum(LEFT(0, 2), LEFT(0, 3), groups, shared);
+    const real finite = joined(LEFT(0, 4), groups, false, shared);
+    const real shift = translation(before, after, rates);
+    reals up = REALS(-INFINITY), down = up, moved_up = up, moved_down = up;
+    reals moved = REALS(0), along = REALS(0), other_along = REALS(0);
     for (uint i = OWN_FIRST(n); i < OWN_END(n); i += STEP) {
-        const vdouble softmin = DLOAD(i, ROW(ROW_SOFTMIN)) - (vdouble)(shift);
-        const vdouble f = (vdouble)(damping) * softmin;
+        const reals softmin = MINUS(DLOAD(i, ROW(ROW_SOFTMIN)), SPREAD(shift));
+        const reals f = TIMES(SPREAD(damping), softmin);
         DSTORE(softmin, i, ROW(ROW_SOFTMIN));
         DSTORE(f, i, ROW(ROW_F));
-        const vdouble weights = DLOAD(i, ROW_GIVEN(GIVEN_WEIGHTS));
-        const vdouble change = change_of(f, DLOAD(i, ROW_GIVEN(GIVEN_ORIGIN)), weights, k);
-        SSTORE(TO_VSINGLE(change - (vdouble)(middle)), i, changes);
-        up = fmax(up, change);
-        down = fmax(down, -change);
-        const vdouble move = f - DLOAD(i, ROW_GIVEN(GIVEN_CENTER));
-        moved += weights * move;
-        moved_up = fmax(moved_up, weights > (vdouble)(0.0) ? move : (vdouble)(-INFINITY));
-        moved_down = fmax(moved_down, weights > (vdouble)(0.0) ? -move : (vdouble)(-INFINITY));
-        along += weights * f;
+        const reals weights = DLOAD(i, ROW_GIVEN(GIVEN_WEIGHTS));
+        const reals change = change_of(f, DLOAD(i, ROW_GIVEN(GIVEN_ORIGIN)), weights, k);
+        SSTORE(TO_VSINGLE(MINUS(change, SPREAD(middle))), i, changes);
+        up = LARGER(up, change);
+        down = LARGER(down, NEGATIVE(change));
+        const reals move = MINUS(f, DLOAD(i, ROW_GIVEN(GIVEN_CENTER)));
+        moved = PLUS(moved, TIMES(weights, move));
+        moved_up = LARGER(moved_up, BELOW(REALS(0), weights, move, REALS(-INFINITY)));
+        moved_down = LARGER(moved_down, BELOW(REALS(0), weights, NEGATIVE(move), REALS(-INFINITY)));
+        along = PLUS(along, TIMES(weights, f));
     }
     for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
-        const vdouble g = DLOAD(i, COLUMN(G_AT)) + (vdouble)(shift);
+        const reals g = PLUS(DLOAD(i, COLUMN(G_AT)), SPREAD(shift));
         DSTORE(g, i, COLUMN(COLUMN_SHIFTED));
-        other_along += DLOAD(i, COLUMN_GIVEN(GIVEN_WEIGHTS)) * g;
+        other_along = PLUS(other_along, TIMES(DLOAD(i, COLUMN_GIVEN(GIVEN_WEIGHTS)), g));
     }
     leave(largest_lane(up), true, LEFT(1, 0), shared);
     leave(largest_lane(down), true, LEFT(1, 1), shared);
@@ -245,7 +252,7 @@ void row_step(
     leave(sum_of_lanes(along), false, LEFT(1, 5), shared);
     leave(sum_of_lanes(other_along), false, LEFT(1, 6), shared);
     if (get_global_id(0) == 0) {
-        numbers[NUMBER_LOG_MASS] = rates > 0.0 ? after + shift * rate : log(source_mass);
+        numbers[NUMBER_LOG_MASS] = log_mass_of(after, shift, rate, rates, source_mass);
         numbers[NUMBER_ROW_FINITE] = finite;
         numbers[NUMBER_ROW_MIDDLE] = middle;
     }
@@ -258,54 +265,55 @@ void row_step(
 // not finite. Shapes: T(f) (m,), f, T(g) (n,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_softmins(
-    const uint n, const uint m, const double k, const double epsilon,
-    const double inverse_rho_source, const double inverse_rho_target, const double source_mass,
-    const double target_mass,
+    const uint n, const uint m, const real k, const real epsilon,
+    const real inverse_rho_source, const real inverse_rho_target, const real source_mass,
+    const real target_mass,
     const __global float* restrict maxima,          // (m,)
     const __global float* restrict sums,            // (m,)
-    const __global double* restrict given_rows,     // (slots, n)
-    const __global double* restrict given_columns,  // (slots, m)
-    const __global double* restrict rows,           // (slots, n)
-    __global double* restrict columns,              // (slots, m)
-    __global double* restrict partials,             // (2, PARTIALS, groups)
-    __global double* restrict numbers)
+    const __global real* restrict given_rows,     // (slots, n)
+    const __global real* restrict given_columns,  // (slots, m)
+    const __global real* restrict rows,           // (slots, n)
+    __global real* restrict columns,              // (slots, m)
+    __global real* restrict partials,             // (2, PARTIALS, groups)
+    __global real* restrict numbers)
 {
-    __local double shared[GROUP];
+    __local real shared[GROUP];
     const uint groups = get_num_groups(0);
-    const double middle = numbers[NUMBER_ROW_MIDDLE];
-    const double up = joined(LEFT(1, 0), groups, true, shared);
-    const double down = joined(LEFT(1, 1), groups, true, shared);
-    const double mean = joined(LEFT(1, 2), groups, false, shared) / source_mass;
-    const double moved_up = joined(LEFT(1, 3), groups, true, shared);
-    const double moved_down = joined(LEFT(1, 4), groups, true, shared);
-    const double along = joined(LEFT(1, 5), groups, false, shared);
-    const double other_along = joined(LEFT(1, 6), groups, false, shared);
-    const double row_damping = damping_of(epsilon, inverse_rho_source);
-    const double damping = damping_of(epsilon, inverse_rho_target);
-    const double rate = inverse_rho_target * damping;
-    vdouble farthest = (vdouble)(0.0), unusual = (vdouble)(0.0);
+    const real middle = numbers[NUMBER_ROW_MIDDLE];
+    const real up = joined(LEFT(1, 0), groups, true, shared);
+    const real down = joined(LEFT(1, 1), groups, true, shared);
+    const real mean = OVER(joined(LEFT(1, 2), groups, false, shared), source_mass);
+    const real moved_up = joined(LEFT(1, 3), groups, true, shared);
+    const real moved_down = joined(LEFT(1, 4), groups, true, shared);
+    const real along = joined(LEFT(1, 5), groups, false, shared);
+    const real other_along = joined(LEFT(1, 6), groups, false, shared);
+    const real row_damping = damping_of(epsilon, inverse_rho_source);
+    const real damping = damping_of(epsilon, inverse_rho_target);
+    const real rate = TIMES(inverse_rho_target, damping);
+    reals farthest = REALS(0), unusual = REALS(0);
     for (uint i = OWN_FIRST(n); i < OWN_END(n); i += STEP)
-        farthest = fmax(farthest, distance_of(DLOAD(i, ROW_GIVEN(GIVEN_WEIGHTS)), DLOAD(i, ROW(ROW_F)),
-                                              (vdouble)(row_damping) * DLOAD(i, ROW(ROW_SOFTMIN))));
+        farthest = LARGER(farthest, distance_of(DLOAD(i, ROW_GIVEN(GIVEN_WEIGHTS)), DLOAD(i, ROW(ROW_F)),
+                                                TIMES(SPREAD(row_damping), DLOAD(i, ROW(ROW_SOFTMIN)))));
     for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
-        const vdouble softmin = stored_softmin(
+        const reals softmin = stored_softmin(
             maxima, sums, COLUMN_GIVEN(GIVEN_BASE), COLUMN_GIVEN(GIVEN_ALONE), middle, k, i);
         DSTORE(softmin, i, COLUMN(COLUMN_SOFTMIN));
-        farthest = fmax(farthest, distance_of(DLOAD(i, COLUMN_GIVEN(GIVEN_WEIGHTS)),
-                                              DLOAD(i, COLUMN(COLUMN_SHIFTED)), (vdouble)(damping) * softmin));
-        unusual += softmin * (vdouble)(0.0);
+        farthest = LARGER(farthest, distance_of(DLOAD(i, COLUMN_GIVEN(GIVEN_WEIGHTS)),
+                                                DLOAD(i, COLUMN(COLUMN_SHIFTED)), TIMES(SPREAD(damping), softmin)));
+        unusual = PLUS(unusual, TIMES(softmin, REALS(0)));
     }
     leave_log_sum(COLUMN_GIVEN(GIVEN_LOG_WEIGHTS), COLUMN(COLUMN_SOFTMIN), m, rate,
-                  rate + inverse_rho_source > 0.0, LEFT(0, 0), LEFT(0, 1), shared);
+                  IS_BELOW(REAL(0), PLUS(rate, inverse_rho_source)), LEFT(0, 0), LEFT(0, 1), shared);
     leave(largest_lane(farthest), true, LEFT(0, 2), shared);
     leave(sum_of_lanes(unusual), false, LEFT(0, 3), shared);
     if (get_global_id(0) == 0) {
-        const double mass = mass_of(numbers[NUMBER_LOG_MASS]);
+        const real mass = mass_of(numbers[NUMBER_LOG_MASS]);
         numbers[NUMBER_MASS] = mass;
-        numbers[NUMBER_ROW_DUAL] = -epsilon * mass + dual_part(source_mass, mass, along, inverse_rho_source)
-            + dual_part(target_mass, mass, other_along, inverse_rho_target);
-        numbers[NUMBER_MOVED] = fmax(moved_up - mean, moved_down + mean);
-        numbers[NUMBER_ROW_NEXT] = 0.5 * (up - down);
+        numbers[NUMBER_ROW_DUAL] = PLUS(
+            PLUS(TIMES(NEGATIVE(epsilon), mass), dual_part(source_mass, mass, along, inverse_rho_source)),
+            dual_part(target_mass, mass, other_along, inverse_rho_target));
+        numbers[NUMBER_MOVED] = LARGER(MINUS(moved_up, mean), PLUS(moved_down, mean));
+        numbers[NUMBER_ROW_NEXT] = TIMES(REAL(0.5f), MINUS(up, down));
     }
 }
 
@@ -316,47 +324,47 @@ void column_softmins(
 // differences with the new one, and after these with r. Shapes: T(f), g', pi (m,), f (n,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_step(
-    const uint n, const uint m, const uint control, const double epsilon,
-    const double inverse_rho_source, const double inverse_rho_target, const double target_mass,
-    const __global double* restrict given_rows,     // (slots, n)
-    const __global double* restrict given_columns,  // (slots, m)
-    __global double* restrict rows,                 // (slots, n)
-    __global double* restrict columns,              // (slots, m)
-    __global double* restrict partials,             // (2, PARTIALS, groups)
-    __global double* restrict numbers)
+    const uint n, const uint m, const uint control, const real epsilon,
+    const real inverse_rho_source, const real inverse_rho_target, const real target_mass,
+    const __global real* restrict given_rows,     // (slots, n)
+    const __global real* restrict given_columns,  // (slots, m)
+    __global real* restrict rows,                 // (slots, n)
+    __global real* restrict columns,              // (slots, m)
+    __global real* restrict partials,             // (2, PARTIALS, groups)
+    __global real* restrict numbers)
 {
-    __local double shared[GROUP];
+    __local real shared[GROUP];
     const uint groups = get_num_groups(0);
-    const double damping = damping_of(epsilon, inverse_rho_target);
-    const double rate = inverse_rho_target * damping, rates = rate + inverse_rho_source;
-    const double after = joined_log_sum(LEFT(0, 0), LEFT(0, 1), groups, shared);
-    const double residual = joined(LEFT(0, 2), groups, true, shared) / epsilon;
-    const double finite = joined(LEFT(0, 3), groups, false, shared);
+    const real damping = damping_of(epsilon, inverse_rho_target);
+    const real rate = TIMES(inverse_rho_target, damping), rates = PLUS(rate, inverse_rho_source);
+    const real after = joined_log_sum(LEFT(0, 0), LEFT(0, 1), groups, shared);
+    const real residual = OVER(joined(LEFT(0, 2), groups, true, shared), epsilon);
+    const real finite = joined(LEFT(0, 3), groups, false, shared);
     // <a, exp(-f / rho)> is the mass of the plan after the half-step of f.
-    const double shift = translation(numbers[NUMBER_LOG_MASS], after, rates);
-    vdouble mass = (vdouble)(0.0), square = mass, along = mass, other_along = mass;
+    const real shift = translation(numbers[NUMBER_LOG_MASS], after, rates);
+    reals mass = REALS(0), square = mass, along = mass, other_along = mass;
     for (uint i = OWN_FIRST(n); i < OWN_END(n); i += STEP) {
-        const vdouble f = DLOAD(i, ROW(ROW_F)) + (vdouble)(shift);
+        const reals f = PLUS(DLOAD(i, ROW(ROW_F)), SPREAD(shift));
         DSTORE(f, i, ROW(ROW_SHIFTED));
-        along += DLOAD(i, ROW_GIVEN(GIVEN_WEIGHTS)) * f;
+        along = PLUS(along, TIMES(DLOAD(i, ROW_GIVEN(GIVEN_WEIGHTS)), f));
     }
     for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
-        const vdouble softmin = DLOAD(i, COLUMN(COLUMN_SOFTMIN)) - (vdouble)(shift);
-        const vdouble image = (vdouble)(damping) * softmin;
-        const vdouble weights = DLOAD(i, COLUMN_GIVEN(GIVEN_WEIGHTS));
-        const vdouble own = marginal(weights, DLOAD(i, COLUMN_GIVEN(GIVEN_LOG_WEIGHTS)), image, softmin, epsilon);
+        const reals softmin = MINUS(DLOAD(i, COLUMN(COLUMN_SOFTMIN)), SPREAD(shift));
+        const reals image = TIMES(SPREAD(damping), softmin);
+        const reals weights = DLOAD(i, COLUMN_GIVEN(GIVEN_WEIGHTS));
+        const reals own = marginal(weights, DLOAD(i, COLUMN_GIVEN(GIVEN_LOG_WEIGHTS)), image, softmin, epsilon);
         DSTORE(softmin, i, COLUMN(COLUMN_SOFTMIN));
         DSTORE(own, i, COLUMN(COLUMN_MARGINAL));
-        mass += own;
-        other_along += weights * image;
-        square += remember(columns, m, control, i, image, own);
+        mass = PLUS(mass, own);
+        other_along = PLUS(other_along, TIMES(weights, image));
+        square = PLUS(square, remember(columns, m, control, i, image, own));
     }
     leave(sum_of_lanes(mass), false, LEFT(1, 0), shared);
     leave(sum_of_lanes(square), false, LEFT(1, 1), shared);
     leave(sum_of_lanes(along), false, LEFT(1, 2), shared);
     leave(sum_of_lanes(other_along), false, LEFT(1, 3), shared);
     for (uint first = 0; first < COUNT; first += BLOCK) {
-        vdouble of_difference[BLOCK], of_residual[BLOCK];
+        reals of_difference[BLOCK], of_residual[BLOCK];
         sum_products(columns, m, control, first, OWN_FIRST(m), OWN_END(m), of_difference, of_residual);
 #pragma unroll
         for (uint k = 0; k < BLOCK; ++k) {
@@ -365,7 +373,7 @@ void column_step(
         }
     }
     if (get_global_id(0) == 0) {
-        numbers[NUMBER_PLAN_MASS] = mass_of(rates > 0.0 ? after + shift * rate : log(target_mass));
+        numbers[NUMBER_PLAN_MASS] = mass_of(log_mass_of(after, shift, rate, rates, target_mass));
         numbers[NUMBER_RESIDUAL_SIZE] = residual;
         numbers[NUMBER_COLUMN_FINITE] = finite;
     }
@@ -377,45 +385,46 @@ void column_step(
 // all work-groups, each of which solves the same small system.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void extrapolate(
-    const uint m, const uint control, const double epsilon, const double inverse_rho_source,
-    const double inverse_rho_target, const double source_mass, const double target_mass,
-    __global double* restrict columns,              // (slots, m)
-    __global double* restrict partials,             // (2, PARTIALS, groups)
-    const __global double* restrict products,       // (MEMORY, MEMORY)
-    __global double* restrict newest,               // (MEMORY,): inner products of the new difference
-    __global double* restrict numbers)
+    const uint m, const uint control, const real epsilon, const real inverse_rho_source,
+    const real inverse_rho_target, const real source_mass, const real target_mass,
+    __global real* restrict columns,              // (slots, m)
+    __global real* restrict partials,             // (2, PARTIALS, groups)
+    const __global real* restrict products,       // (MEMORY, MEMORY)
+    __global real* restrict newest,               // (MEMORY,): inner products of the new difference
+    __global real* restrict numbers)
 {
-    __local double shared[GROUP];
-    SHARED double system[MEMORY * SYSTEM_ROW];
+    __local real shared[GROUP];
+    SHARED real system[MEMORY * SYSTEM_ROW];
     const uint groups = get_num_groups(0);
-    const double marginals = joined(LEFT(1, 0), groups, false, shared);
-    const double square = joined(LEFT(1, 1), groups, false, shared);
-    const double along = joined(LEFT(1, 2), groups, false, shared);
-    const double other_along = joined(LEFT(1, 3), groups, false, shared);
+    const real marginals = joined(LEFT(1, 0), groups, false, shared);
+    const real square = joined(LEFT(1, 1), groups, false, shared);
+    const real along = joined(LEFT(1, 2), groups, false, shared);
+    const real other_along = joined(LEFT(1, 3), groups, false, shared);
     for (uint j = 0; j < COUNT; ++j) {
-        const double newest = joined(LEFT(1, 4 + j), groups, false, shared);
-        const double right = joined(LEFT(1, 4 + MEMORY + j), groups, false, shared);
+        const real newest = joined(LEFT(1, 4 + j), groups, false, shared);
+        const real right = joined(LEFT(1, 4 + MEMORY + j), groups, false, shared);
         if (get_local_id(0) == 0) {
             SYSTEM(j, NEWEST) = newest;
             SYSTEM(j, RIGHT) = right;
         }
     }
     const bool found = solve_normal(products, PLACE, COUNT, system);
-    vdouble length = (vdouble)(0.0), drift = (vdouble)(0.0);
+    reals length = REALS(0), drift = REALS(0);
     for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
-        const vdouble step = step_from_image(columns, m, control, i, system);
+        const reals step = step_from_image(columns, m, control, i, system);
         DSTORE(step, i, COLUMN(COLUMN_STEP));
-        length += step * DLOAD(i, COLUMN(COLUMN_MASS)) * step;
-        drift += step * DLOAD(i, COLUMN(COLUMN_MARGINAL));
+        length = PLUS(length, TIMES(TIMES(step, DLOAD(i, COLUMN(COLUMN_MASS))), step));
+        drift = PLUS(drift, TIMES(step, DLOAD(i, COLUMN(COLUMN_MARGINAL))));
     }
     leave(sum_of_lanes(length), false, LEFT(0, 0), shared);
     leave(sum_of_lanes(drift), false, LEFT(0, 1), shared);
     if (get_global_id(0) == 0) {
-        const double mass = numbers[NUMBER_PLAN_MASS];
-        numbers[NUMBER_COLUMN_DUAL] = -epsilon * mass + dual_part(source_mass, mass, along, inverse_rho_source)
-            + dual_part(target_mass, mass, other_along, inverse_rho_target);
-        numbers[NUMBER_FOUND] = found;
-        numbers[NUMBER_RESIDUAL_NORM] = sqrt(square);
+        const real mass = numbers[NUMBER_PLAN_MASS];
+        numbers[NUMBER_COLUMN_DUAL] = PLUS(
+            PLUS(TIMES(NEGATIVE(epsilon), mass), dual_part(source_mass, mass, along, inverse_rho_source)),
+            dual_part(target_mass, mass, other_along, inverse_rho_target));
+        numbers[NUMBER_FOUND] = REAL(found);
+        numbers[NUMBER_RESIDUAL_NORM] = ROOT(square);
         numbers[NUMBER_MARGINALS] = marginals;
         for (uint j = 0; j < COUNT; ++j)
             newest[j] = SYSTEM(j, NEWEST);
@@ -428,39 +437,40 @@ void extrapolate(
 // Leaves 0, 1: the largest changes of either sign. Shapes: g, changes (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void next_potential(
-    const uint m, const uint control, const double k, const double inverse_rho_source,
-    const double inverse_rho_target, const double radius,
-    const __global double* restrict given_columns,  // (slots, m)
-    __global double* restrict columns,              // (slots, m)
+    const uint m, const uint control, const real k, const real inverse_rho_source,
+    const real inverse_rho_target, const real radius,
+    const __global real* restrict given_columns,  // (slots, m)
+    __global real* restrict columns,              // (slots, m)
     __global float* restrict changes,               // (m,)
-    __global double* restrict partials,             // (2, PARTIALS, groups)
-    __global double* restrict numbers)
+    __global real* restrict partials,             // (2, PARTIALS, groups)
+    __global real* restrict numbers)
 {
-    __local double shared[GROUP];
+    __local real shared[GROUP];
     const uint groups = get_num_groups(0);
-    const double middle = numbers[NUMBER_COLUMN_NEXT];
-    const double longest = radius * numbers[NUMBER_RESIDUAL_NORM];
-    const double length = sqrt(joined(LEFT(0, 0), groups, false, shared));
-    const double factor = limit(length, longest);
-    const double mean = joined(LEFT(0, 1), groups, false, shared) / numbers[NUMBER_MARGINALS];
+    const real middle = numbers[NUMBER_COLUMN_NEXT];
+    const real longest = TIMES(radius, numbers[NUMBER_RESIDUAL_NORM]);
+    const real length = ROOT(joined(LEFT(0, 0), groups, false, shared));
+    const real factor = limit(length, longest);
+    const real mean = OVER(joined(LEFT(0, 1), groups, false, shared), numbers[NUMBER_MARGINALS]);
     // Balanced potentials are unique up to a constant, along which nothing bounds an extrapolation.
-    const double drift = inverse_rho_source == 0.0 && inverse_rho_target == 0.0 ? factor * mean : 0.0;
-    const bool found = numbers[NUMBER_FOUND] != 0.0;
-    vdouble up = (vdouble)(-INFINITY), down = up;
+    const bool damped = IS_BELOW(REAL(0), PLUS(inverse_rho_source, inverse_rho_target));
+    const real drift = damped ? REAL(0) : TIMES(factor, mean);
+    const bool found = IS_BELOW(REAL(0), numbers[NUMBER_FOUND]);
+    reals up = REALS(-INFINITY), down = up;
     for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
-        const vdouble image = DLOAD(i, COLUMN(COLUMN_IMAGE_0 + PARITY));
-        const vdouble guess = image + (vdouble)(factor) * DLOAD(i, COLUMN(COLUMN_STEP)) - (vdouble)(drift);
+        const reals image = DLOAD(i, COLUMN(COLUMN_IMAGE_0 + PARITY));
+        const reals guess = MINUS(PLUS(image, TIMES(SPREAD(factor), DLOAD(i, COLUMN(COLUMN_STEP)))), SPREAD(drift));
         DSTORE(guess, i, COLUMN(COLUMN_GUESS_0 + PARITY));
-        const vdouble change = change_of(found ? guess : image, DLOAD(i, COLUMN_GIVEN(GIVEN_ORIGIN)),
+        const reals change = change_of(found ? guess : image, DLOAD(i, COLUMN_GIVEN(GIVEN_ORIGIN)),
                                          DLOAD(i, COLUMN_GIVEN(GIVEN_WEIGHTS)), k);
-        SSTORE(TO_VSINGLE(change - (vdouble)(middle)), i, changes);
-        up = fmax(up, change);
-        down = fmax(down, -change);
+        SSTORE(TO_VSINGLE(MINUS(change, SPREAD(middle))), i, changes);
+        up = LARGER(up, change);
+        down = LARGER(down, NEGATIVE(change));
     }
     leave(largest_lane(up), true, LEFT(1, 0), shared);
     leave(largest_lane(down), true, LEFT(1, 1), shared);
     if (get_global_id(0) == 0) {
-        numbers[NUMBER_CUT] = found && length > longest;
+        numbers[NUMBER_CUT] = REAL(found && IS_BELOW(longest, length));
         numbers[NUMBER_COLUMN_MIDDLE] = middle;
     }
 }
@@ -470,16 +480,16 @@ void next_potential(
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void end_iteration(
     const uint control, const uint groups,
-    const __global double* restrict partials,       // (2, PARTIALS, groups)
-    const __global double* restrict newest,         // (MEMORY,)
-    __global double* restrict products,             // (MEMORY, MEMORY)
-    __global double* restrict numbers)
+    const __global real* restrict partials,       // (2, PARTIALS, groups)
+    const __global real* restrict newest,         // (MEMORY,)
+    __global real* restrict products,             // (MEMORY, MEMORY)
+    __global real* restrict numbers)
 {
-    __local double shared[GROUP];
-    const double up = joined(LEFT(1, 0), groups, true, shared);
-    const double down = joined(LEFT(1, 1), groups, true, shared);
+    __local real shared[GROUP];
+    const real up = joined(LEFT(1, 0), groups, true, shared);
+    const real down = joined(LEFT(1, 1), groups, true, shared);
     for (uint j = get_local_id(0); j < COUNT; j += GROUP)
         store_products(products, newest[j], j, PLACE);
     if (get_local_id(0) == 0)
-        numbers[NUMBER_COLUMN_NEXT] = 0.5 * (up - down);
+        numbers[NUMBER_COLUMN_NEXT] = TIMES(REAL(0.5f), MINUS(up, down));
 }

@@ -1,4 +1,4 @@
-// The arithmetic between two softmins, float64, for half_steps.cl and sparse_half_steps.cl: damping,
+// The arithmetic between two softmins, in the numbers of reals.cl, for half_steps.cl and sparse_half_steps.cl: damping,
 // translation, marginals and dual (paper, 2.1 and 3.1; Problem in clmorph/transport/_solver/problem.py), and
 // Anderson's acceleration (anderson.py there). Both files do it in loops over the entries of vectors.
 //
@@ -25,7 +25,6 @@
 //
 // Shapes: n points of the rows, m of the columns; `rows` and `columns` have one vector after the other.
 //
-// -D LANES   float64 lanes of a work-item: 1 on GPUs; divides TILE
 // -D GROUP   work-items of the group, a power of two
 // -D MEMORY  differences of iterates that the acceleration stores
 // -D RIDGE_PPT  regularization of its normal equations, in units of 10^-12
@@ -34,12 +33,8 @@
 // -D ROW_*, COLUMN_*, NUMBER_*  places of vectors and numbers
 
 #include "common.cl"
+#include "reals.cl"
 
-#pragma OPENCL EXTENSION cl_khr_fp64 : enable
-
-#ifndef LANES
-#error "LANES (float64 lanes per work-item) must be given"
-#endif
 #ifndef GROUP
 #error "GROUP (work-items of a group) must be given"
 #endif
@@ -57,26 +52,6 @@
 #error "MAX_EXPONENT (largest argument of exp) must be given"
 #endif
 
-#if LANES == 1
-typedef double vdouble;
-typedef float vsingle;
-#define DLOAD(i, p) ((p)[i])
-#define DSTORE(v, i, p) ((p)[i] = (v))
-#define SLOAD(i, p) ((p)[i])
-#define SSTORE(v, i, p) ((p)[i] = (v))
-#define TO_VDOUBLE(v) ((double)(v))
-#define TO_VSINGLE(v) ((float)(v))
-#else
-typedef CONCAT(double, LANES) vdouble;
-typedef CONCAT(float, LANES) vsingle;
-#define DLOAD(i, p) CONCAT(vload, LANES)(0, (p) + (i))
-#define DSTORE(v, i, p) CONCAT(vstore, LANES)((v), 0, (p) + (i))
-#define SLOAD(i, p) CONCAT(vload, LANES)(0, (p) + (i))
-#define SSTORE(v, i, p) CONCAT(vstore, LANES)((v), 0, (p) + (i))
-#define TO_VDOUBLE(v) CONCAT(convert_double, LANES)(v)
-#define TO_VSINGLE(v) CONCAT(convert_float, LANES)(v)
-#endif
-
 #define FIRST (get_local_id(0) * LANES)
 #define STEP (GROUP * LANES)
 
@@ -92,7 +67,7 @@ typedef CONCAT(float, LANES) vsingle;
 #define LONG_FUNCTION static __attribute__((noinline))
 #endif
 
-#define MIXED (0.01 * (double)MIXING_PERCENT - 1.0)
+#define MIXED REALS((MIXING_PERCENT - 100) / 100.0f)
 
 // A vector of the rows or of the columns, and those of the acceleration.
 #define ROW(slot) (rows + (size_t)(slot) * n)
@@ -108,28 +83,28 @@ typedef CONCAT(float, LANES) vsingle;
 #define PLACE (control >> 8 & 15u)
 #define COUNT (control >> 12)
 
-INLINE double sum_of_lanes(const vdouble v)
+INLINE real sum_of_lanes(const reals v)
 {
-    double lanes[LANES];
+    real lanes[LANES];
     DSTORE(v, 0, lanes);
-    double sum = 0.0;
+    real sum = REAL(0);
     for (int l = 0; l < LANES; ++l)
-        sum += lanes[l];
+        sum = PLUS(sum, lanes[l]);
     return sum;
 }
 
-INLINE double largest_lane(const vdouble v)
+INLINE real largest_lane(const reals v)
 {
-    double lanes[LANES];
+    real lanes[LANES];
     DSTORE(v, 0, lanes);
-    double largest = lanes[0];
+    real largest = lanes[0];
     for (int l = 1; l < LANES; ++l)
-        largest = fmax(largest, lanes[l]);
+        largest = LARGER(largest, lanes[l]);
     return largest;
 }
 
 // The sum of x over the group, or the largest, the same number in every item.
-INLINE double group_reduced(const double x, const bool largest, __local double* shared)
+INLINE real group_reduced(const real x, const bool largest, __local real* shared)
 {
 #if GROUP > 1
     const uint item = get_local_id(0);
@@ -138,8 +113,8 @@ INLINE double group_reduced(const double x, const bool largest, __local double* 
     for (uint half_size = GROUP / 2; half_size > 0; half_size /= 2) {
         STEP_BARRIER();
         if (item < half_size) {
-            const double other = shared[item + half_size];
-            shared[item] = largest ? fmax(shared[item], other) : shared[item] + other;
+            const real other = shared[item + half_size];
+            shared[item] = largest ? LARGER(shared[item], other) : PLUS(shared[item], other);
         }
     }
     STEP_BARRIER();
@@ -152,57 +127,57 @@ INLINE double group_reduced(const double x, const bool largest, __local double* 
 #define group_sum(x, shared) group_reduced(x, false, shared)
 #define group_largest(x, shared) group_reduced(x, true, shared)
 
-INLINE double damping_of(const double epsilon, const double inverse_rho)
+INLINE real damping_of(const real epsilon, const real inverse_rho)
 {
-    return 1.0 / (1.0 + epsilon * inverse_rho);
+    return OVER(REAL(1), PLUS(REAL(1), TIMES(epsilon, inverse_rho)));
 }
 
 // The logarithm of weights exp(-rate potential), whose sums give the translation.
-INLINE vdouble log_scaled(const vdouble log_weights, const vdouble potential, const double rate)
+INLINE reals log_scaled(const reals log_weights, const reals potential, const real rate)
 {
-    return log_weights - potential * (vdouble)(rate);
+    return MINUS(log_weights, TIMES(potential, SPREAD(rate)));
 }
 
 // The best translation from the logarithms of both sums; 0 if `rates`, the sum of both rates, is.
-INLINE double translation(const double log_before, const double log_after, const double rates)
+INLINE real translation(const real log_before, const real log_after, const real rates)
 {
-    return rates > 0.0 ? (log_before - log_after) / rates : 0.0;
+    return IS_BELOW(REAL(0), rates) ? OVER(MINUS(log_before, log_after), rates) : REAL(0);
 }
 
-INLINE vdouble marginal(
-    const vdouble weights, const vdouble log_weights, const vdouble potential, const vdouble softmin,
-    const double epsilon)
+INLINE reals marginal(
+    const reals weights, const reals log_weights, const reals potential, const reals softmin,
+    const real epsilon)
 {
-    const vdouble exponent = (potential - softmin) / (vdouble)(epsilon) + log_weights;
-    const vdouble mass = exp(fmin(exponent, (vdouble)((double)MAX_EXPONENT)));
-    return weights > (vdouble)(0.0) ? mass : (vdouble)(0.0);
+    const reals exponent = PLUS(OVER(MINUS(potential, softmin), SPREAD(epsilon)), log_weights);
+    const reals mass = EXP(SMALLER(exponent, REALS(MAX_EXPONENT)));
+    return BELOW(REALS(0), weights, mass, REALS(0));
 }
 
 // How far a potential is from its half-step, where the side has mass.
-INLINE vdouble distance_of(const vdouble weights, const vdouble potential, const vdouble half_step)
+INLINE reals distance_of(const reals weights, const reals potential, const reals half_step)
 {
-    return weights > (vdouble)(0.0) ? fabs(potential - half_step) : (vdouble)(0.0);
+    return BELOW(REALS(0), weights, SIZE(MINUS(potential, half_step)), REALS(0));
 }
 
 // Store an iterate, whose image is T's, and the difference from the last one; `mass` is its marginal. Returns
 // the terms of the residual's square.
-INLINE vdouble remember(
-    __global double* columns, const uint m, const uint control, const uint i, const vdouble image,
-    const vdouble mass)
+INLINE reals remember(
+    __global real* columns, const uint m, const uint control, const uint i, const reals image,
+    const reals mass)
 {
-    const vdouble residual = image - DLOAD(i, COLUMN(G_AT));
-    vdouble weights = mass, change = (vdouble)(0.0), ahead = (vdouble)(0.0);
+    const reals residual = MINUS(image, DLOAD(i, COLUMN(G_AT)));
+    reals weights = mass, change = REALS(0), ahead = REALS(0);
     if (BEGUN) { // the inner product keeps the marginal of the first iterate
         weights = DLOAD(i, COLUMN(COLUMN_MASS));
-        change = residual - DLOAD(i, COLUMN(COLUMN_RESIDUAL_1 - PARITY));
-        ahead = image - DLOAD(i, COLUMN(COLUMN_IMAGE_1 - PARITY)) + (vdouble)(MIXED) * change;
+        change = MINUS(residual, DLOAD(i, COLUMN(COLUMN_RESIDUAL_1 - PARITY)));
+        ahead = PLUS(MINUS(image, DLOAD(i, COLUMN(COLUMN_IMAGE_1 - PARITY))), TIMES(MIXED, change));
     }
     DSTORE(image, i, COLUMN(COLUMN_IMAGE_0 + PARITY));
     DSTORE(residual, i, COLUMN(COLUMN_RESIDUAL_0 + PARITY));
     DSTORE(weights, i, COLUMN(COLUMN_MASS));
     DSTORE(change, i, DIFFERENCES(PLACE));
     DSTORE(ahead, i, AHEAD(PLACE));
-    return residual * weights * residual;
+    return TIMES(TIMES(residual, weights), residual);
 }
 
 // Inner products of BLOCK differences, from `first` on, with the new one and with the residual, over the entries
@@ -211,18 +186,18 @@ INLINE vdouble remember(
 #define IN_BLOCK(first, k) min((first) + (k), COUNT - 1)
 
 INLINE void sum_products(
-    const __global double* columns, const uint m, const uint control, const uint first, const uint begin,
-    const uint end, vdouble* of_difference, vdouble* of_residual)
+    const __global real* columns, const uint m, const uint control, const uint first, const uint begin,
+    const uint end, reals* of_difference, reals* of_residual)
 {
     for (uint k = 0; k < BLOCK; ++k)
-        of_difference[k] = of_residual[k] = (vdouble)(0.0);
+        of_difference[k] = of_residual[k] = REALS(0);
     for (uint i = begin; i < end; i += STEP) {
-        const vdouble weights = DLOAD(i, COLUMN(COLUMN_MASS)), change = DLOAD(i, DIFFERENCES(PLACE));
-        const vdouble residual = DLOAD(i, COLUMN(COLUMN_RESIDUAL_0 + PARITY));
+        const reals weights = DLOAD(i, COLUMN(COLUMN_MASS)), change = DLOAD(i, DIFFERENCES(PLACE));
+        const reals residual = DLOAD(i, COLUMN(COLUMN_RESIDUAL_0 + PARITY));
         for (uint k = 0; k < BLOCK; ++k) {
-            const vdouble weighted = DLOAD(i, DIFFERENCES(IN_BLOCK(first, k))) * weights;
-            of_difference[k] += weighted * change;
-            of_residual[k] += weighted * residual;
+            const reals weighted = TIMES(DLOAD(i, DIFFERENCES(IN_BLOCK(first, k))), weights);
+            of_difference[k] = PLUS(of_difference[k], TIMES(weighted, change));
+            of_residual[k] = PLUS(of_residual[k], TIMES(weighted, residual));
         }
     }
 }
@@ -237,45 +212,45 @@ INLINE void sum_products(
 #define SYSTEM(i, column) system[(i) * SYSTEM_ROW + (column)]
 
 // The step from the image that the coefficients give, before it is limited.
-INLINE vdouble step_from_image(
-    const __global double* columns, const uint m, const uint control, const uint i,
-    const SHARED double* system)
+INLINE reals step_from_image(
+    const __global real* columns, const uint m, const uint control, const uint i,
+    const SHARED real* system)
 {
-    vdouble step = (vdouble)(MIXED) * DLOAD(i, COLUMN(COLUMN_RESIDUAL_0 + PARITY));
+    reals step = TIMES(MIXED, DLOAD(i, COLUMN(COLUMN_RESIDUAL_0 + PARITY)));
     for (uint j = 0; j < COUNT; ++j)
-        step -= (vdouble)(SYSTEM(j, COEFFICIENT)) * DLOAD(i, AHEAD(j));
+        step = MINUS(step, TIMES(SPREAD(SYSTEM(j, COEFFICIENT)), DLOAD(i, AHEAD(j))));
     return step;
 }
 
 // The factor that keeps a step in the trust region.
-INLINE double limit(const double length, const double longest)
+INLINE real limit(const real length, const real longest)
 {
-    return fmin(1.0, longest / fmax(length, DBL_MIN));
+    return SMALLER(REAL(1), OVER(longest, LARGER(length, LEAST_REAL)));
 }
 
 // Solve the normal equations, whose columns RIGHT and NEWEST are given, for the coefficients, and return whether
 // they are determined. The difference at `place` is new; the first `count` are stored.
 LONG_FUNCTION bool solve_normal(
-    const __global double* products, // (MEMORY, MEMORY): inner products of the older differences
-    const uint place, const uint count, SHARED double* system)
+    const __global real* products, // (MEMORY, MEMORY): inner products of the older differences
+    const uint place, const uint count, SHARED real* system)
 {
     STEP_BARRIER();
     bool determined = count > 0;
     for (uint i = 0; i < count; ++i)
-        determined = determined && (i == place ? SYSTEM(i, NEWEST) : products[i * MEMORY + i]) > 0.0;
+        determined = determined && IS_BELOW(REAL(0), i == place ? SYSTEM(i, NEWEST) : products[i * MEMORY + i]);
     for (uint i = get_local_id(0); i < count; i += GROUP) {
-        const double square = i == place ? SYSTEM(i, NEWEST) : products[i * MEMORY + i];
-        SYSTEM(i, SCALE) = square > 0.0 ? sqrt(square) : 1.0;
-        SYSTEM(i, RIGHT) /= SYSTEM(i, SCALE);
+        const real square = i == place ? SYSTEM(i, NEWEST) : products[i * MEMORY + i];
+        SYSTEM(i, SCALE) = IS_BELOW(REAL(0), square) ? ROOT(square) : REAL(1);
+        SYSTEM(i, RIGHT) = OVER(SYSTEM(i, RIGHT), SYSTEM(i, SCALE));
     }
     STEP_BARRIER();
     for (uint entry = get_local_id(0); entry < count * SYSTEM_ROW; entry += GROUP) {
         const uint i = entry / SYSTEM_ROW, j = entry % SYSTEM_ROW;
         if (j < count) {
-            const double product = i == place ? SYSTEM(j, NEWEST)
+            const real product = i == place ? SYSTEM(j, NEWEST)
                 : j == place ? SYSTEM(i, NEWEST) : products[i * MEMORY + j];
-            system[entry] = i == j ? 1.0 + 1e-12 * (double)RIDGE_PPT
-                : product / (SYSTEM(i, SCALE) * SYSTEM(j, SCALE));
+            system[entry] = i == j ? ONE_AND(RIDGE_PPT)
+                : OVER(product, TIMES(SYSTEM(i, SCALE), SYSTEM(j, SCALE)));
         }
     }
     // The matrix is positive definite, so that elimination needs no exchange of rows.
@@ -284,19 +259,19 @@ LONG_FUNCTION bool solve_normal(
         for (uint entry = get_local_id(0); entry < count * SYSTEM_ROW; entry += GROUP) {
             const uint i = entry / SYSTEM_ROW, j = entry % SYSTEM_ROW;
             if (i != p && ((p < j && j < count) || j == RIGHT))
-                system[entry] -= SYSTEM(i, p) / SYSTEM(p, p) * SYSTEM(p, j);
+                system[entry] = MINUS(system[entry], TIMES(OVER(SYSTEM(i, p), SYSTEM(p, p)), SYSTEM(p, j)));
         }
     }
     STEP_BARRIER();
     for (uint i = get_local_id(0); i < count; i += GROUP)
-        SYSTEM(i, COEFFICIENT) = SYSTEM(i, RIGHT) / SYSTEM(i, i) / SYSTEM(i, SCALE);
+        SYSTEM(i, COEFFICIENT) = OVER(OVER(SYSTEM(i, RIGHT), SYSTEM(i, i)), SYSTEM(i, SCALE));
     STEP_BARRIER();
     return determined;
 }
 
 // Store the inner products of a new difference; one work-group does.
 INLINE void store_products(
-    __global double* products, const double row, const uint j, const uint place)
+    __global real* products, const real row, const uint j, const uint place)
 {
     products[place * MEMORY + j] = products[j * MEMORY + place] = row;
 }

@@ -45,7 +45,7 @@ BUILDS = {
 
 
 def iterated(operations: Operations, rho: tuple[float, float], precise: bool) -> list[np.ndarray]:
-    """Run a few steps of the solver, and take one back; on the device where it has float64."""
+    """Run a few steps of the solver, and take one back."""
     rng = np.random.default_rng(2)
     measures = [WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in (130, 67)]
     steps = new_steps(Problem.between(operations, *measures, rho))

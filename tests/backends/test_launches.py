@@ -185,7 +185,7 @@ def test_an_iteration_waits_once_and_reads_a_few_numbers(device, rng, reach, pre
         solve(5)
         shorter, longer = solve(5), solve(9)
     launches, waits, reads, writes = (longer - shorter) / 4
-    if device.has_float64 and not device.constants.longest_loop:
+    if not device.constants.longest_loop:
         # Two softmins, and the arithmetic after each; a few numbers come back.
         assert (launches, waits, writes) == (4, 1, 0)
         assert 0 < reads <= 256
@@ -199,7 +199,7 @@ def test_an_iteration_waits_once_and_reads_a_few_numbers(device, rng, reach, pre
 
 def test_an_extrapolation_that_is_taken_back_costs_one_softmin(device, rng, monkeypatch):
     """The dual of an extrapolation is made to look smaller once; the result is the same."""
-    if not device.has_float64 or device.constants.longest_loop:
+    if device.constants.longest_loop:
         pytest.skip("its iterations are the host's")
     measures = [clmorph.WeightedPoints(rng.random((n, 3)), np.full(n, 1 / n)) for n in (60, 50)]
     solve = functools.partial(

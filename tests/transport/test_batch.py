@@ -254,7 +254,7 @@ def test_the_number_of_launches_is_that_of_the_slowest(device, rng):
         found = solve(pairs, 0.1, 0.5, backend=device)
     # Two softmins an iteration, with the arithmetic after each on the device, two for all
     # certificates, and those that were taken back.
-    each = 4 if device.has_float64 and not device.constants.longest_loop else 2
+    each = 4 if not device.constants.longest_loop else 2
     n_iter = found.n_iter.max()
     assert each * n_iter <= count.n_launches <= 1.15 * each * n_iter + 20
     with TransferCount() as count:

@@ -10,7 +10,7 @@ from clmorph.backends.interface import MAX_EXPONENT
 from clmorph.backends.records import ResidentIteration, StoredPairs, StoredVectors
 from clmorph.measures.cluster import Clusters
 from clmorph.measures.points import AnyMeasure
-from clmorph.transport._solver.problem import Problem, has_closed_form
+from clmorph.transport._solver.problem import MASS_ROUNDING, Problem, has_closed_form
 from clmorph.transport._solver.softmin import Softmin, check_finite
 from clmorph.transport._solver.state import dual_rounding
 from clmorph.transport.certificate import Side
@@ -39,6 +39,8 @@ STORED_CHOICES = (
 #: The mass of the plan may fall by this factor while stored pairs are trusted, and closed forms of
 #: the dual still have enough digits.
 PLAN_CHANGE = 10.0
+#: The relative rounding of a mass where iterations on the device have pairs of float32.
+PAIR_ROUNDING = 1e-12
 
 
 class CorrectedProblem(Problem):
@@ -234,9 +236,10 @@ class StoredProblem(CorrectedProblem):
         few digits.
         """
         enough = dual_rounding(self, self._epsilon, False) / PLAN_CHANGE
+        rounding = MASS_ROUNDING if self.operations.has_float64 else PAIR_ROUNDING
         for mass, inverse in zip(self.masses, self.inverse_rho, strict=True):
             if inverse and not has_closed_form(
-                mass, self._plan_mass, inverse, self._epsilon, enough
+                mass, self._plan_mass, inverse, self._epsilon, enough, rounding
             ):
                 return None
         (to_rows, to_columns), (of_rows, of_columns) = self._softmins, self._corrections

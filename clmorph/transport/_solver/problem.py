@@ -328,7 +328,8 @@ def cost_across(low: Array, high: Array) -> Any:
 
 
 def has_closed_form(
-    mass: Any, plan_mass: Any, inverse_rho: float, epsilon: float, enough: Any
-) -> Any:
+    mass: Any, plan_mass: Any, inverse_rho: float, epsilon: float, enough: Any,
+    rounding: float = MASS_ROUNDING,
+) -> Any:  # fmt: skip
     """Return whether a penalty of the dual has enough digits as a difference of masses."""
-    return MASS_ROUNDING * (mass + plan_mass) <= enough * epsilon * plan_mass * inverse_rho
+    return rounding * (mass + plan_mass) <= enough * epsilon * plan_mass * inverse_rho

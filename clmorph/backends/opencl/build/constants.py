@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
+from clmorph.backends.interface import MAX_EXPONENT
 from clmorph.backends.numpy.layers import LEAST_LIKENESS
 from clmorph.backends.opencl.build import half_step_slots, sparse_half_step_slots
 from clmorph.backends.opencl.devices.quirks import LONGEST_LOOP, find_quirks
@@ -22,6 +23,8 @@ PRECISE_UNROLL = 4
 MASKED_UNROLL = 4
 #: The number of stored pairs of a row that are handled together.
 STORED_UNROLL = 4
+#: The largest argument of exp in iterations whose numbers are pairs of float32.
+MAX_EXPONENT_OF_PAIRS = 70.0
 #: The number of seeds of a leaf, and of nodes below a node, of the tree of ``nearest_seeds.cl``.
 SEED_LEAF, SEED_WAYS = 8, 4
 
@@ -189,17 +192,19 @@ class BuildConstants:
     @property
     def lanes(self) -> int:
         """Float64 lanes of a work-item: as many bytes as the float32 ones, but not more than 8."""
-        return max(1, min(8, self.width // 2))
+        return max(1, min(8, self.width // 2)) if self.float64 else 1
 
     def half_step_macros(self) -> dict[str, int | float]:
         """Return the macros of ``half_steps.cl``."""
         return {
+            "FLOAT64": self.float64,
             "GROUP": self.step_group,
             "LANES": self.lanes,
             "SENTINEL": SENTINEL,
             "TILE": self.tile,
             "WIDTH": self.width,
             **half_step_slots.macros(),
+            "MAX_EXPONENT": round(MAX_EXPONENT if self.float64 else MAX_EXPONENT_OF_PAIRS),
         }
 
     def sparse_half_step_macros(self) -> dict[str, int | float]:

@@ -1,6 +1,6 @@
 """Where vectors and numbers of ``cl_kernels/half_steps.cl`` stand in its buffers."""
 
-from clmorph.backends.interface import MAX_EXPONENT, MEMORY, MIXING, RIDGE
+from clmorph.backends.interface import MEMORY, MIXING, RIDGE
 
 #: What the host writes for each cloud, before the others.
 GIVEN = ("WEIGHTS", "LOG_WEIGHTS", "OWN_COSTS", "OFFSETS", "LOG2_WEIGHTS")
@@ -18,7 +18,7 @@ NUMBERS = (
     "MASS", "ROW_DUAL", "ROW_FINITE", "RESIDUAL_SIZE", "COLUMN_DUAL", "COLUMN_FINITE", "FOUND",
     "CUT",
 )  # fmt: skip
-#: What the host says of each problem before an iteration, uint32; the radius is a float64.
+#: What the host says of each problem before an iteration, uint32; the radius has two.
 PROBLEM = (
     "FIRST_ROW", "N", "FIRST_COLUMN", "M", "FIRST_PAIR", "CONTROL", "RADIUS_LOW", "RADIUS_HIGH",
 )  # fmt: skip
@@ -45,5 +45,5 @@ def macros_of(
     named["COLUMN_DIFFERENCES"] = columns.index("AHEAD") + MEMORY
     return named | {
         "MEMORY": MEMORY, "RIDGE_PPT": round(1e12 * RIDGE),
-        "MIXING_PERCENT": round(100 * MIXING), "MAX_EXPONENT": round(MAX_EXPONENT),
+        "MIXING_PERCENT": round(100 * MIXING),
     }  # fmt: skip

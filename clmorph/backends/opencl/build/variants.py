@@ -58,12 +58,12 @@ class Variant:
         )  # fmt: skip
 
     def suits(self, constants: BuildConstants) -> bool:
-        """Return whether a device has what the file needs: float64, and long loops to iterate."""
+        """Return whether a device has what the file needs: float64, or long loops to iterate."""
         if self.file == "tile_levels.cl":
             return bool(constants.float64)
         if self.file == "grid_log_sum_exp.cl":
             return bool(not self.precise or constants.float64)
-        return not self.is_optional or bool(constants.float64 and not constants.longest_loop)
+        return not (self.is_optional and constants.longest_loop)
 
     @property
     def is_optional(self) -> bool:

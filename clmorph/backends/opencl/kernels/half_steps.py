@@ -1,4 +1,4 @@
-"""The host side of ``cl_kernels/half_steps.cl``: iterations whose vectors stay on the device."""
+"""The host of ``cl_kernels/half_steps.cl``: iterations whose vectors stay on the device."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -107,13 +107,17 @@ class HalfSteps(ResidentSteps):
         masses = weights[0][rows.order], weights[1][columns.order]
         table = np.zeros((1, len(PROBLEM)), np.uint32)
         table[:, [PROBLEM.index("N"), PROBLEM.index("M")]] = rows.stride, columns.stride
-        arguments = self._given((rows, columns), masses, inverse_rho, 1, costs.size, (None, None))
+        units = self._units((rows, columns), masses)
+        arguments = self._given(
+            (rows, columns), masses, inverse_rho, units, 1, costs.size, (None, None)
+        )
         for name, values in (("row_costs", costs), ("column_costs", costs.T)):
-            arguments[name] = self._work.buffer(values, np.float64)
+            arguments[name] = self._buffer(values / units[0])
         arguments |= {"problems": self._work.buffer(table, np.uint32), "n_listed": np.uint32(0)}
         return DeviceIteration(
-            self, SLOTS, (rows, columns), arguments, n_pairs=2 * rows.stride * columns.stride
-        )
+            self, SLOTS, (rows, columns), arguments, n_pairs=2 * rows.stride * columns.stride,
+            units=units,
+        )  # fmt: skip
 
     def start_batch_iteration(
         self, rows: Batch, columns: Batch, weights: tuple[Float64, Float64],
@@ -130,14 +134,15 @@ class HalfSteps(ResidentSteps):
             masses.append(np.where(padded, 0.0, own[side.cloud.order]))
         pairs = pairs_of(rows, columns), pairs_of(columns, rows)
         clouds = rows.cloud, columns.cloud
+        units = self._units(clouds, (masses[0], masses[1]))
         arguments = self._given(
-            clouds, (masses[0], masses[1]), inverse_rho, len(rows.counts), len(pairs[0].tiles),
-            pairs,
+            clouds, (masses[0], masses[1]), inverse_rho, units, len(rows.counts),
+            len(pairs[0].tiles), pairs,
         ) | {
             "problems": self._work.empty(4 * len(PROBLEM) * len(rows.counts)),
-            "first_control": np.uint32(0), "control": np.uint32(0), "radius": np.float64(0),
+            "first_control": np.uint32(0), "control": np.uint32(0), "radius": self._real(0.0),
         }  # fmt: skip
-        made = BatchIteration(self, SLOTS, clouds, arguments)
+        made = BatchIteration(self, SLOTS, clouds, arguments, units=units)
         table = np.zeros((len(rows.counts), len(PROBLEM)), np.uint32)
         for side, first in zip(sides, ("FIRST_ROW", "FIRST_COLUMN"), strict=True):
             table[:, PROBLEM.index(first)] = side.first_tiles * tile
@@ -160,7 +165,7 @@ class HalfSteps(ResidentSteps):
                 made.arguments |= {
                     f"{own}_starts": buffer(np.append(0, np.cumsum(per_tile)), np.uint32),
                     f"{own}_listed": buffer(listed.tiles[kept], np.uint32),
-                    f"{own}_costs": buffer(listed.distances[kept], np.float64),
+                    f"{own}_costs": self._buffer(listed.distances[kept] / units[0]),
                 }
             made.version += 1
 
@@ -172,6 +177,7 @@ class HalfSteps(ResidentSteps):
         clouds: tuple[Cloud, Cloud],
         masses: tuple[Float64, Float64],
         inverse_rho: tuple[float, float],
+        units: tuple[float, float],
         count: int,
         n_pairs: int,
         lists: tuple[TilePairs | None, TilePairs | None],
@@ -187,8 +193,9 @@ class HalfSteps(ResidentSteps):
             vectors = np.zeros((slots, cloud.stride))
             n = len(cloud)
             with np.errstate(divide="ignore"):
-                logarithms = np.log(own)
-            given = own, logarithms, cloud.own_costs, cloud.offsets, cloud.log2_weights
+                logarithms = np.log(own / units[1])
+            costs, offsets = cloud.own_costs / units[0], cloud.offsets / units[0]
+            given = own / units[1], logarithms, costs, offsets, cloud.log2_weights
             for place, values in enumerate(given):
                 vectors[place, :n] = values
             # Points that pad a side have no mass.
@@ -198,7 +205,7 @@ class HalfSteps(ResidentSteps):
                 vectors[GIVEN.index(name), n:] = filler
             for name in ("OWN_COSTS", "OFFSETS"):
                 vectors[GIVEN.index(name), n:] = vectors[GIVEN.index(name), n - 1]
-            sides.append(work.buffer(vectors, np.float64))
+            sides.append(self._buffer(vectors))
         longest = max(rows.stride, columns.stride)
         stacks = loop.constants.stacks(rows.centers.shape[1], precise=False)
         shares = (
@@ -222,13 +229,23 @@ class HalfSteps(ResidentSteps):
             "rows": sides[0], "columns": sides[1],
             "row_shifts": rows.shifts_buffer, "row_centers": rows.centers_buffer,
             "column_shifts": columns.shifts_buffer, "column_centers": columns.centers_buffer,
-            "inverse_rho_source": np.float64(inverse_rho[0]),
-            "inverse_rho_target": np.float64(inverse_rho[1]),
+            "inverse_rho_source": self._real(inverse_rho[0] * units[0]),
+            "inverse_rho_target": self._real(inverse_rho[1] * units[0]),
         }  # fmt: skip
+
+    def _units(
+        self, clouds: tuple[Cloud, Cloud], masses: tuple[Float64, Float64]
+    ) -> tuple[float, float]:
+        """Return units of costs and masses, by their sizes."""
+        low = np.min([cloud.box[0] for cloud in clouds], axis=0)
+        high = np.max([cloud.box[1] for cloud in clouds], axis=0)
+        offsets = sum(float(np.abs(cloud.offsets).max()) for cloud in clouds)
+        return self._chosen_units(0.5 * np.sum((high - low) ** 2) + offsets, masses[0].sum())
 
     def _begin(self, iteration: DeviceIteration, g: Float64) -> dict[str, Float64]:
         columns = iteration.sides[1]
-        return {"start": pad(g[columns.order], columns.stride, 0.0)}
+        own = g[columns.order] / iteration.units[0]
+        return {"start": self._packed(pad(own, columns.stride, 0.0))}
 
     def _in_order(self, side: Cloud, values: Float64) -> Float64:
         return unsort(side, values)
@@ -239,9 +256,9 @@ class HalfSteps(ResidentSteps):
     ) -> list[cl.Event]:  # fmt: skip
         if not isinstance(iteration, BatchIteration):
             return super()._tell(iteration, bound, control, radius, prepare)
-        table, bits = iteration.table, iteration.of_all(radius).view(np.uint64)
+        table, radii = iteration.table, self._packed(iteration.of_all(radius))
         table[:, CONTROL] = control
-        table[:, CONTROL + 1], table[:, CONTROL + 2] = bits & 0xFFFFFFFF, bits >> 32
+        table[:, CONTROL + 1 : CONTROL + 3] = radii.view(np.uint32).reshape(-1, 2)
         buffer = iteration.arguments["problems"]
         return [cl.enqueue_copy(self._work.queue, buffer, table, is_blocking=False)]
 

@@ -1,5 +1,6 @@
 """The host of both iterations on the device: what it sets, starts, awaits and reads."""
 
+import math
 import time
 import warnings
 import weakref
@@ -13,8 +14,10 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.cancellation import check_cancelled
+from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.kernels.clouds import split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import Float64, IterationNumbers
@@ -47,6 +50,7 @@ class DeviceIteration:
     precise: bool = False
     version: int = 0  #: changes with the buffers among the arguments
     n_pairs: int = 0  #: pairs of points that the softmins of an iteration sum
+    units: tuple[float, float] = (1.0, 1.0)  #: of costs and masses on the device, powers of two
 
     def __post_init__(self) -> None:
         self.numbers: Float64 = np.zeros(len(self.slots.numbers))
@@ -264,6 +268,21 @@ class BoundKernels:
             self._scalars[name] = scalar
 
 
+def as_pairs(values: Any) -> NDArray[np.float32]:
+    """Return numbers as pairs of float32, (..., 2), which have no infinity."""
+    return np.ascontiguousarray(np.moveaxis(split(np.clip(values, SENTINEL, -SENTINEL)), 0, -1))
+
+
+def of_pairs(values: Float64) -> Float64:
+    """Return the numbers whose pairs of float32 were read into this array."""
+    return values.view(np.float32).reshape(*values.shape, 2).sum(axis=-1, dtype=float)
+
+
+def _power_near(size: float) -> float:
+    """Return a power of two near a size."""
+    return 2.0 ** round(math.log2(size)) if size > 0 else 1.0
+
+
 #: A kernel's name, and its global and local size.
 Launch = tuple[str, tuple[int, ...], tuple[int, ...] | None]
 
@@ -279,6 +298,7 @@ class ResidentSteps(ABC):
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         self._work, self._programs, self._constants = loop.work, loop.programs, loop.constants
+        self._in_pairs = not loop.constants.float64
         self._is_possible: bool | None = None
         self.set_potential = take_turns(self._set_potential)
         self.iterate = take_turns(self._iterate)
@@ -318,8 +338,41 @@ class ResidentSteps(ABC):
 
     def _scalars(self, iteration: DeviceIteration) -> dict[str, Any]:
         """Return the arguments that follow from epsilon."""
-        epsilon = iteration.epsilon
-        return {"k": np.float64(LOG2_E / epsilon), "epsilon": np.float64(epsilon)}
+        epsilon = iteration.epsilon / iteration.units[0]
+        return {"k": self._real(LOG2_E / epsilon), "epsilon": self._real(epsilon)}
+
+    def _chosen_units(self, cost: float, mass: float) -> tuple[float, float]:
+        """Return units in which pairs of float32 lose no digits, by the largest cost and a mass."""
+        if not self._in_pairs:
+            return 1.0, 1.0
+        return _power_near(cost), _power_near(mass)
+
+    def _real(self, value: float) -> Any:
+        """Return a number as kernels take it."""
+        return as_pairs(value).view("f4,f4")[()][0] if self._in_pairs else np.float64(value)
+
+    def _packed(self, values: Float64) -> Any:
+        """Return numbers as kernels have them in buffers."""
+        return as_pairs(values) if self._in_pairs else values
+
+    def _buffer(self, values: Float64) -> cl.Buffer:
+        """Return a buffer of numbers."""
+        packed = self._packed(np.asarray(values, float))
+        return self._work.buffer(packed, packed.dtype)
+
+    def _read(self, iteration: DeviceIteration, values: Float64) -> Float64:
+        """Return potentials, in the caller's units, from what was read."""
+        return of_pairs(values) * iteration.units[0] if self._in_pairs else values
+
+    def _read_numbers(self, iteration: DeviceIteration) -> None:
+        """Bring the numbers that were read to the caller's units."""
+        if not self._in_pairs:
+            return
+        iteration.numbers[...] = of_pairs(iteration.numbers)
+        cost, mass = iteration.units
+        scales = {"MASS": mass, "ROW_DUAL": cost * mass, "COLUMN_DUAL": cost * mass, "MOVED": cost}
+        for place, name in enumerate(iteration.slots.numbers):
+            iteration.numbers[..., place] *= scales.get(name, 1.0)
 
     def _tell(
         self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any,
@@ -329,7 +382,7 @@ class ResidentSteps(ABC):
         if prepare:
             bound.set("first_control", np.uint32(control))
         bound.set("control", np.uint32(control))
-        bound.set("radius", np.float64(radius))
+        bound.set("radius", self._real(radius))
         return []
 
     def _set_potential(
@@ -375,6 +428,7 @@ class ResidentSteps(ABC):
             bound.budget.learn(iteration.n_pairs, time.perf_counter() - began)
         for name, event in launched:
             self._work.note(name, event)
+        self._read_numbers(iteration)
         return iteration.read()
 
     def _potentials(self, iteration: DeviceIteration) -> tuple[Float64, Float64, Float64]:
@@ -399,7 +453,7 @@ class ResidentSteps(ABC):
             if events:
                 cl.wait_for_events(events)
         f, *images, t_columns = (
-            self._in_order(iteration.sides[side], values)
+            self._in_order(iteration.sides[side], self._read(iteration, values))
             for (side, *_), values in zip(places, found, strict=True)
         )
         return iteration.chosen(f, images, t_columns)

@@ -117,21 +117,28 @@ class StoredSteps(ResidentSteps):
         if buffers is None:
             return None
         rows, columns = vectors
-        self._give(buffers["given_rows"], pairs[0], rows, center)
-        self._give(buffers["given_columns"], pairs[1], columns)
+        largest = max(float(np.abs(x).max()) for x in (rows.alone, columns.alone, center))
+        units = self._chosen_units(largest, float(rows.masses.sum()))
+        self._give(buffers["given_rows"], pairs[0], units, rows, center)
+        self._give(buffers["given_columns"], pairs[1], units, columns)
         moved = (center - rows.origin)[rows.masses > 0]
         sides = pairs[0].rows, pairs[1].rows
         n, m = (side.stride for side in sides)
         sizes = {"n": n, "m": m, "groups": self._groups(max(n, m))}
-        given = *inverse_rho, rows.masses.sum(), columns.masses.sum()
+        rates, masses = (
+            np.multiply(inverse_rho, units[0]),
+            (rows.masses.sum(), columns.masses.sum()),
+        )
+        given = *rates, *np.divide(masses, units[1])
         arguments = {
             **buffers,
             **{name: np.uint32(size) for name, size in sizes.items()},
-            **dict(zip((*_RATES[1:], *_MASSES), map(np.float64, given), strict=True)),
+            **dict(zip((*_RATES[1:], *_MASSES), map(self._real, given), strict=True)),
         }  # fmt: skip
         return StoredIteration(
             self, SLOTS, sides, arguments, pairs=pairs, origin=columns.origin,
             counted=columns.masses > 0, row_middle=0.5 * float(moved.min() + moved.max()),
+            units=units,
         )  # fmt: skip
 
     def _buffers(self, pairs: tuple[Side, Side]) -> dict[str, cl.MemoryObject] | None:
@@ -159,19 +166,22 @@ class StoredSteps(ResidentSteps):
             return None
 
     def _give(
-        self, buffer: cl.MemoryObject, side: Side, vectors: StoredVectors, *more: Float64
-    ) -> None:
+        self, buffer: cl.MemoryObject, side: Side, units: tuple[float, float],
+        vectors: StoredVectors, *more: Float64,
+    ) -> None:  # fmt: skip
         """Write the vectors of a side that the host has."""
+        masses = vectors.masses / units[1]
         with np.errstate(divide="ignore"):
-            logarithms = np.log(vectors.masses)
-        own = vectors.masses, logarithms, vectors.base, vectors.alone, vectors.origin, *more
+            logarithms = np.log(masses)
+        costs = vectors.base, vectors.alone, vectors.origin, *more
+        own = masses, logarithms, *(each / units[0] for each in costs)
         # Points that pad a side have no mass.
         fillers = {"LOG_WEIGHTS": -np.inf}
         values = np.stack([
             pad(each, side.rows.stride, fillers.get(name, 0.0))
             for name, each in zip(GIVEN[: len(own)], own, strict=True)
         ])  # fmt: skip
-        cl.enqueue_copy(self._work.queue, buffer, values, is_blocking=True)
+        cl.enqueue_copy(self._work.queue, buffer, self._packed(values), is_blocking=True)
 
     def _groups(self, stride: int) -> int:
         """Return the number of work-groups of the loops over vectors of a length."""
@@ -186,7 +196,8 @@ class StoredSteps(ResidentSteps):
         middles = k * iteration.row_middle, 0.5 * float(changes.min() + changes.max())
         for name, middle in zip(("ROW_NEXT", "COLUMN_NEXT"), middles, strict=True):
             iteration.numbers[NUMBERS.index(name)] = middle
-        return {"start": pad(g, iteration.sides[1].stride, 0.0), "numbers": iteration.numbers}
+        start = pad(g / iteration.units[0], iteration.sides[1].stride, 0.0)
+        return {"start": self._packed(start), "numbers": self._packed(iteration.numbers)}
 
     def _in_order(self, side: Any, values: Float64) -> Float64:
         return values
