@@ -22,6 +22,7 @@ from clmorph.batch.journal import Journal
 from clmorph.batch.places import exists, is_remote, name_of, resolved
 from clmorph.batch.run import run_jobs
 from clmorph.batch.workers import devices_of, local_client, remote_client
+from clmorph.cli.common import device_name
 from clmorph.cli.config import Found, read_settings
 from clmorph.cli.terminal import NOTES, RESULTS, note, say
 from clmorph.errors import InputError
@@ -56,9 +57,9 @@ class BatchRequest:
 
 
 def batch_request(
-    table: str | None,
-    out: str,
     *,
+    jobs: str | None,
+    out: str,
     ending: str,
     config: Path | None,
     preset: str | None,
@@ -71,8 +72,7 @@ def batch_request(
     """Return the request that the arguments of the command line mean, or raise InputError."""
     if not out or "\0" in out:
         raise InputError("--out is empty: expected the name of a folder")
-    if device is not None and backend not in (None, "auto", "opencl"):
-        raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
+    device = device_name(device, backend)
     if not ending.startswith(".") or by_ending(Path(f"a{ending}")) is None:
         raise InputError(f"--ending {ending}: expected one of {', '.join(usual_endings())}")
     need_dask()
@@ -103,8 +103,8 @@ def batch_request(
         MAX_PIXELS if most is None else check_max_pixels(most),
     )
     return BatchRequest(
-        table, ending=ending, defaults=defaults, memory=memory,
-        device=device or backend or "auto", **more,
+        jobs, ending=ending, defaults=defaults, memory=memory,
+        device=device, **more,
     )  # fmt: skip
 
 

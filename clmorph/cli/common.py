@@ -81,15 +81,21 @@ def note_warning(notes: list[Warning], message: Any, *others: Any, **more: Any) 
     note(in_option_names(str(message)))
 
 
-def open_backend(device: str | None, backend: str | None) -> Any:
-    """Choose the device and print its name."""
+def device_name(device: str | None, backend: str | None) -> str:
+    """Return the device that ``--device`` or ``--backend`` names; both may not differ."""
     if device is not None and backend not in (None, "auto", "opencl"):
         raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
+    return device or backend or "auto"
+
+
+def open_backend(device: str | None, backend: str | None) -> Any:
+    """Choose the device and print its name."""
+    name = device_name(device, backend)
     from clmorph.backends.multi_device import sharing_notes
     from clmorph.backends.select import get_backend
 
     with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
-        operations = get_backend(device or backend or "auto")
+        operations = get_backend(name)
     say(f"device: {operations.description}")
     for each in sharing_notes(operations):
         note(each)

@@ -2,7 +2,7 @@
 
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,26 +25,21 @@ from clmorph.cli.common import (
 )
 from clmorph.cli.terminal import Stages, say
 from clmorph.errors import ConvergenceWarning
+from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import as_images, recognized
 from clmorph.pipeline.presets import AUTO
 
 
-def run_inspect(
-    images: Sequence[Path],
-    output: Path | None,
-    preset: str | None,
-    given: dict[str, Any],
-    *,
-    max_pixels: int,
-    device: str | None,
-    backend: str | None,
-    as_json: bool,
-    labels: Sequence[Path] = (),
-    features: Sequence[Path] = (),
-) -> None:
-    """Solve the transport between two pictures, print its statistics, and optionally draw it."""
+def run_inspect(images: Sequence[Path], line: Mapping[str, Any], given: dict[str, Any]) -> None:
+    """Solve the transport between two pictures, print its statistics, and optionally draw it.
+
+    `line` has the arguments of the command line, and `given` the options of the morph among them.
+    """
+    output, preset = line["output"], line["preset"]
+    labels, features = line["labels"] or (), line["features"] or ()
+    max_pixels = MAX_PIXELS if line["max_pixels"] is None else line["max_pixels"]
     auto = preset is None or preset == AUTO
     options = MorphOptions(preset=None if auto else preset, **given)
     if output is not None:
@@ -53,7 +48,7 @@ def run_inspect(
         check_apart([output], [*images, *files, *features])
     pictures = [read_picture(path, max_pixels) for path in images]
     maps = read_beside(labels, features, max_pixels)
-    operations = open_backend(device, backend)
+    operations = open_backend(line["device"], line["backend"])
     if auto:
         preset = recognized(as_images(pictures))
         options = MorphOptions(preset=preset, **given)
@@ -73,10 +68,10 @@ def run_inspect(
             stages("picture", 0.0)
             draw_inspection(found, output)
             stages("picture", 1.0)
-    if as_json:
+    if line["as_json"]:
         click.echo(json.dumps(found.summary()))
         return
-    for line in found.lines():
-        click.echo(line)
+    for text in found.lines():
+        click.echo(text)
     if output is not None:
         click.echo(f"wrote {printable(click.format_filename(output))}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 from click.core import ParameterSource
 
+from clmorph._shared.options import Options
 from clmorph._shared.signals import terminable
 from clmorph._shared.version import __version__
 from clmorph.cli import config as files
@@ -34,6 +35,8 @@ from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO
+from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.recolor_options import RecolorOptions
 
 if TYPE_CHECKING:
     from clmorph.cli.request import Request
@@ -94,10 +97,9 @@ def cli() -> None:
     """  # noqa: D301 (click wants the character itself)
 
 
-Reader = Callable[[Path], files.Found]
-
-
-def _config_option(read: Reader, *, preset: bool = False) -> Callable[[Any], Any]:
+def _config_option(
+    read: Callable[..., files.Found], *, preset: bool = False
+) -> Callable[[Any], Any]:
     """Return the option --config, whose file is read before any other option is processed.
 
     With `preset` the preset that the file names stands for that of the command line.
@@ -118,16 +120,10 @@ def _config_option(read: Reader, *, preset: bool = False) -> Callable[[Any], Any
     )  # fmt: skip
 
 
-def _rearrange_settings(path: Path) -> files.Found:
-    from clmorph.pipeline.rearrange_options import RearrangeOptions
-
-    return files.read_settings(path, RearrangeOptions)
-
-
-def _recolor_settings(path: Path) -> files.Found:
-    from clmorph.pipeline.recolor_options import RecolorOptions
-
-    return files.read_settings(path, RecolorOptions)
+def _chosen(kind: type[Options], given: Mapping[str, Any]) -> Options:
+    """Return the options of the file of settings, replaced by those of the command line."""
+    file = {} if given["config"] is None else given["config"].options
+    return kind(**file).replace(**options.given_options(given, kind))
 
 
 def _pictures(images: tuple[Path, ...], config: files.Found | None) -> tuple[Path, ...]:
@@ -292,7 +288,7 @@ def _request(
 @cli.command()
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.InputName())
 @options.file_options
-@_config_option(_rearrange_settings)
+@_config_option(partial(files.read_settings, command=RearrangeOptions))
 @options.json_option
 @options.rearrange_options
 @options.max_pixels_option
@@ -307,20 +303,16 @@ def rearrange(context: click.RichContext, /, **given: Any) -> None:
     clmorph rearrange a.png b.jpg -o out.gif --color-weight 1  shorter ways, poorer likeness
     """  # noqa: D301
     from clmorph.cli.rearrange import run_rearrange
-    from clmorph.pipeline.rearrange_options import RearrangeOptions
 
-    config = given["config"]
-    chosen = RearrangeOptions(**({} if config is None else config.options)).replace(
-        **options.given_options(given, RearrangeOptions)
-    )
-    images = _pictures(given["images"], config)
+    chosen = _chosen(RearrangeOptions, given)
+    images = _pictures(given["images"], given["config"])
     run_rearrange(_request(given, chosen, images, "rearrange a.png b.jpg -o out.gif"))
 
 
 @cli.command()
 @click.argument("images", metavar="PHOTO LIKE", nargs=-1, type=options.InputName())
 @options.picture_options
-@_config_option(_recolor_settings)
+@_config_option(partial(files.read_settings, command=RecolorOptions))
 @options.json_option
 @options.recolor_options
 @click.option(
@@ -355,12 +347,8 @@ def recolor(context: click.RichContext, /, **given: Any) -> None:
     clmorph recolor c.jpg --lut look.cube -o out.png          by a table
     """  # noqa: D301
     from clmorph.cli.recolor import run_recolor
-    from clmorph.pipeline.recolor_options import RecolorOptions
 
-    config = given["config"]
-    chosen = RecolorOptions(**({} if config is None else config.options)).replace(
-        **options.given_options(given, RecolorOptions)
-    )
+    config, chosen = given["config"], _chosen(RecolorOptions, given)
     images = _pictures(given["images"], config)
     beside = _beside(given, config)
     export_lut, lut_size = given["export_lut"], given["lut_size"]

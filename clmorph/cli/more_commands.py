@@ -8,7 +8,6 @@ import rich_click as click
 
 from clmorph.cli import options
 from clmorph.errors import InputError
-from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
 
 #: Shells for which completion is supported.
@@ -71,23 +70,7 @@ def counted(images: Sequence[Path]) -> str:
 )  # fmt: skip
 @options.max_pixels_option
 @options.device_options
-def batch(
-    jobs: str | None,
-    out: str,
-    all_pairs: str | None,
-    chain: str | None,
-    ending: str,
-    redo: bool,
-    as_json: bool,
-    config: Path | None,
-    preset: str | None,
-    scheduler: str | None,
-    workers: int | None,
-    memory: str | None,
-    max_pixels: int | None,
-    device: str | None,
-    backend: str | None,
-) -> int:
+def batch(**given: Any) -> int:
     """Morph thousands of pairs on the workers of Dask (extra "dask").
 
     \b
@@ -100,13 +83,7 @@ def batch(
     """  # noqa: D301
     from clmorph.cli.batch import batch_request, run_batch
 
-    return run_batch(
-        batch_request(
-            jobs, out, all_pairs=all_pairs, chain=chain, ending=ending, config=config,
-            preset=preset, scheduler=scheduler, workers=workers, memory=memory, device=device,
-            backend=backend, max_pixels=max_pixels, redo=redo, as_json=as_json,
-        )
-    )  # fmt: skip
+    return run_batch(batch_request(**given))
 
 
 @click.command(epilog=PRESET_LINES, cls=options.LabeledCommand)
@@ -126,18 +103,7 @@ def batch(
 @options.map_options
 @options.max_pixels_option
 @options.device_options
-def inspect(
-    images: tuple[Path, ...],
-    output: Path | None,
-    as_json: bool,
-    preset: str | None,
-    labels: tuple[Path, ...] | None,
-    features: tuple[Path, ...] | None,
-    max_pixels: int | None,
-    device: str | None,
-    backend: str | None,
-    **given: Any,
-) -> None:
+def inspect(images: tuple[Path, ...], **given: Any) -> None:
     """Show what a morph would move: how far, how much, how well; how long it would take.
 
     \b
@@ -148,11 +114,7 @@ def inspect(
 
     if len(images) != 2:
         raise InputError(f"{counted(images)}: expected two, as in clmorph inspect a.png b.jpg")
-    run_inspect(
-        images, output, preset, options.given_options(given),
-        max_pixels=MAX_PIXELS if max_pixels is None else max_pixels, device=device,
-        backend=backend, as_json=as_json, labels=labels or (), features=features or (),
-    )  # fmt: skip
+    run_inspect(images, given, options.given_options(given))
 
 
 @click.command()

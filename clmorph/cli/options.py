@@ -247,40 +247,24 @@ def _plainly(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-morph_options = _together(
-    _of(PlaybackOptions),
-    _of(BudgetOptions),
-    _of(SolverOptions, "blur"),
-    _of(MorphOptions, "reach"),
-    _of(SolverOptions, "epsilon", "rho"),
-    _of(LiftOptions),
-    _of(GuideOptions),
-    _of(SolverOptions, "tol", "max_iter"),
-    _of(PlanOptions),
-    _of(RenderOptions),
-)
-mix_options = _together(
-    _of(PlaybackOptions),
-    _of(BudgetOptions),
-    _of(SolverOptions, "blur"),
-    _of(MorphOptions, "reach"),
-    _of(SolverOptions, "epsilon", "rho"),
-    _of(LiftOptions),
-    _of(GuideOptions, "landmarks"),
-    _of(SolverOptions, "tol", "max_iter"),
-    _of(PlanOptions),
-    _of(RenderOptions),
-)
+def _transport(*guides: str) -> Callable[[Command], Command]:
+    """Return the decorator for the options of the transport, with the named guides or all."""
+    return _together(
+        _of(BudgetOptions),
+        _of(SolverOptions, "blur"),
+        _of(MorphOptions, "reach"),
+        _of(SolverOptions, "epsilon", "rho"),
+        _of(LiftOptions),
+        _of(GuideOptions, *guides),
+        _of(SolverOptions, "tol", "max_iter"),
+    )
+
+
+_frames = _together(_of(PlanOptions), _of(RenderOptions))
+morph_options = _together(_of(PlaybackOptions), _transport(), _frames)
+mix_options = _together(_of(PlaybackOptions), _transport("landmarks"), _frames)
 inspect_options = _together(
-    _of(BudgetOptions),
-    _of(SolverOptions, "blur"),
-    _of(MorphOptions, "reach"),
-    _of(SolverOptions, "epsilon", "rho"),
-    _of(LiftOptions),
-    _of(GuideOptions),
-    _of(SolverOptions, "tol", "max_iter"),
-    _of(PlanOptions, "log_threshold"),
-    _of(PlaybackOptions, "n_frames"),
+    _transport(), _of(PlanOptions, "log_threshold"), _of(PlaybackOptions, "n_frames")
 )
 
 rearrange_options = _together(

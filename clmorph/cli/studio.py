@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from clmorph.cli.common import device_name
 from clmorph.cli.demo import demo_images
 from clmorph.cli.options import in_option_names
 from clmorph.cli.terminal import say
-from clmorph.errors import ClmorphError, FileError, InputError
+from clmorph.errors import ClmorphError, FileError
 from clmorph.images.pixels import to_bytes
 from clmorph.studio.serve import serve
 
@@ -20,10 +21,8 @@ def run_studio(
     host: str, port: int | None, device: str | None, backend: str | None, browser: bool
 ) -> None:
     """Serve the studio until it is ended."""
-    if device is not None and backend not in (None, "auto", "opencl"):
-        raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
     serve(
-        host, port, device=device or backend or "auto", browser=browser, samples=write_samples,
+        host, port, device=device_name(device, backend), browser=browser, samples=write_samples,
         line_of=line_of, say=say,
     )  # fmt: skip
 
