@@ -339,12 +339,7 @@ class Operations(Protocol):
         within [0, 1), and ascend in each row. All else is as in `plan_moments`.
         """
 
-    def upload_particles(
-        self,
-        table: Float64,
-        links: NDArray[np.uint32],
-        weights: Float64,
-    ) -> Any:
+    def upload_particles(self, table: Float64, links: NDArray[np.uint32], weights: Float64) -> Any:
         """Upload particles that move in straight lines.
 
         `table`, (P, 6), has positions in the common frame and colors of the points between which
@@ -354,11 +349,7 @@ class Operations(Protocol):
         """
 
     def advect(
-        self,
-        particles: Any,
-        t: float,
-        scale: tuple[float, float],
-        center: tuple[float, float],
+        self, particles: Any, t: float, scale: tuple[float, float], center: tuple[float, float]
     ) -> Any:
         """Return the splats of particles at time t, from 0 to 1, in pixel coordinates of a canvas.
 
@@ -432,11 +423,7 @@ class Operations(Protocol):
         """
 
     def upload_splats(
-        self,
-        positions: Float32,
-        colors: Float32,
-        weights: Float32,
-        spacings: Float32 | None = None,
+        self, positions: Float32, colors: Float32, weights: Float32, spacings: Float32 | None = None
     ) -> Any:
         """Upload particles at rest: (K, 2) positions in pixels, (K, 3) colors, (K,) masses.
 
