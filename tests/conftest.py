@@ -375,7 +375,7 @@ def found_anew() -> tuple[Device, ...]:
 def fresh_search() -> Iterator[None]:
     """Let what a test finds, and verdicts that it fakes, be forgotten before and after it."""
     known = vars(verdicts)
-    kept = {name: known[name].copy() for name in ("_programs", "_momentary", "_refused")}
+    kept = {name: known[name].copy() for name in ("_programs", "_refused")}
 
     def forget() -> None:
         tried.cache_clear()

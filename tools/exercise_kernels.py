@@ -25,9 +25,9 @@ from clmorph.backends.opencl.build import constants as build_constants
 from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.kernels.launches import Workspace
-from clmorph.backends.verification.grids import SIZES, grid_case
-from clmorph.backends.verification.layers import mean_cases, path_cases, scenes
-from clmorph.backends.verification.tables import colors_of, tables
+from clmorph.backends.opencl.verification.grids import SIZES, grid_case
+from clmorph.backends.opencl.verification.layers import mean_cases, path_cases, scenes
+from clmorph.backends.opencl.verification.tables import colors_of, table_of
 from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations
 from clmorph.transport._solver.batch import problem_of_many
@@ -209,7 +209,7 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     seeds = rng.uniform(-9, 30, (190, 2)).astype(np.float32)
     for count in (1, 190):
         results.append(operations.nearest_seeds(seeds[:count], (16, 21)).astype(float))
-    for table in tables((2, 5)).values():
+    for table in map(table_of, (2, 5)):
         on_device = operations.upload_table(table)
         results.append(operations.apply_table(on_device, colors_of(70, len(table))))
     for sizes, precise in itertools.product(SIZES, (False, True)):

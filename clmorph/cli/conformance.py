@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.comparison import SIGNS_OF_WRONG_RESULTS, Finding, words_of
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.kernel_files import KERNELS
+from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS, Finding, words_of
 from clmorph.errors import InputError
 from clmorph.measures.lift import lift
 from clmorph.pipeline.morph import morph
@@ -74,7 +74,7 @@ def _wanted(names: Sequence[str]) -> set[str]:
 def _checks(operations: Operations) -> Iterator[tuple[tuple[str, ...], Callable[[], Any]]]:
     """Yield the kernels of every comparison, and the comparison, which computes nothing yet."""
     # It imports pyopencl; where that is missing, the choice of the device has said so.
-    from clmorph.backends.opencl.verification import device_checks
+    from clmorph.backends.opencl.verification.table import device_checks
 
     first, second = lift(_picture(37, 0.2)), lift(_picture(31, 1.7))
     clouds = (first.points, first.weights), (second.points, second.weights)

@@ -11,7 +11,6 @@ import click
 
 from clmorph._shared.files import atomic_path, check_file_place, is_standard_output
 from clmorph._shared.printable import printable, reason_of
-from clmorph.backends.comparison import Finding
 from clmorph.backends.opencl.devices.cache import cache_folder
 from clmorph.backends.opencl.devices.find import (
     Device,
@@ -22,6 +21,7 @@ from clmorph.backends.opencl.devices.find import (
     try_again,
 )
 from clmorph.backends.opencl.devices.verdicts import WRONG
+from clmorph.backends.opencl.verification.findings import Finding
 from clmorph.cli.terminal import NOTES, RESULTS, note
 from clmorph.errors import ClmorphError, DeviceError, OutputError
 

@@ -6,21 +6,20 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve, map_coordinates, spline_filter
 
-from clmorph.backends.comparison import UNIT
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.numpy.layers import mean_radius
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.layers import Layers
-from clmorph.backends.records import TEAR, Affine
-from clmorph.backends.select import get_backend
-from clmorph.backends.verification.layers import (
+from clmorph.backends.opencl.verification.findings import UNIT, largest
+from clmorph.backends.opencl.verification.layers import (
     LayerCase,
     Scene,
-    largest,
     mean_cases,
     path_cases,
     scenes,
 )
+from clmorph.backends.records import TEAR, Affine
+from clmorph.backends.select import get_backend
 
 REFERENCE = NumPyOperations()
 SHAPES = [(1, 1), (1, 9), (6, 1), (2, 3), (45, 70), (130, 33)]

@@ -8,16 +8,14 @@ import pytest
 
 import clmorph
 from clmorph.backends.interface import MEMORY
-from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.verdicts import OPTIONAL
 from clmorph.backends.opencl.kernels import half_steps
-from clmorph.backends.opencl.verification import first_failure
-from clmorph.backends.verification import iterations
-from clmorph.backends.verification.clouds import few_rows, several_tiles
-from clmorph.backends.verification.iterations import check_iteration
+from clmorph.backends.opencl.verification.bench import Bench
+from clmorph.backends.opencl.verification.iterations import iterate, start_stored
+from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.steps import DeviceSteps, HostSteps, new_steps
 
@@ -34,9 +32,8 @@ def resident(device):
 @pytest.mark.parametrize("balanced", range(4))
 def test_iterations_are_what_their_definitions_say(device, balanced, stored):
     resident(device)
-    for make in (several_tiles, functools.partial(few_rows, columns=700)):
-        case = make(device, NumPyOperations(), 3)
-        findings = list(check_iteration(case, balanced, stored))
+    for case in Bench(device).clouds(3, columns=700):
+        findings = list(iterate(case, balanced, stored))
         assert findings
         for finding in findings:
             assert finding.passed, str(finding)
@@ -134,10 +131,10 @@ def test_where_the_device_does_not_iterate_the_host_does(device, rng, monkeypatc
 def test_iterations_over_stored_pairs_leave_the_same_bytes(device):
     """Work-groups of a runtime that share local memory by mistake would not."""
     resident(device)
-    case = few_rows(device, NumPyOperations(), 3, 5003)
+    case = Bench(device).clouds(3, columns=5003)[1]
     found = []
     for _ in range(4):
-        iteration = iterations._start_stored(case, (0.0, 0.0)).iteration
+        iteration = start_stored(case, (np.inf, np.inf))[0]
         iteration.set_potential(np.zeros(5003), case.epsilon, False)
         for number in range(40):
             count = min(number, MEMORY)
@@ -164,8 +161,8 @@ def test_where_kernels_cannot_be_built_the_host_iterates(device, rng, monkeypatc
 
     def solve(backend):
         if kind == "stored":
-            case = several_tiles(backend, NumPyOperations(), 3)
-            return np.array([finding.passed for finding in check_iteration(case, 0, True)])
+            case = Bench(backend).clouds(3)[0]
+            return np.array([finding.passed for finding in iterate(case, 0, True)])
         if kind == "one":
             return clmorph.sinkhorn(*clouds, blur=0.1, reach=0.5, backend=backend).g
         many = [[cloud, cloud] for cloud in clouds]

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from clouds import PAIRS
 
-from clmorph.backends.comparison import UNIT, splat_excess, splat_tolerance
 from clmorph.backends.interface import KERNEL_ERROR, Operations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import MOMENT_CHUNK
 from clmorph.backends.opencl.kernels.gauss_transform import cell_side, make_cells, moments_pay
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
-from clmorph.backends.verification.clouds import log_sum_exp_tolerance
+from clmorph.backends.opencl.verification.bench import log_sum_exp_tolerance
+from clmorph.backends.opencl.verification.findings import UNIT
+from clmorph.backends.opencl.verification.splats import Range, splat_tolerance
 from clmorph.backends.width_levels import WIDTH_LEVELS
 from clmorph.reference import NumPyOperations
 
@@ -545,7 +546,7 @@ def test_splat(variant, method, rng, name, shape, sigma):
     # Far-out positions are rounded to float32 before the distance is taken; the kernel
     # then is where the reference puts it, because the reference has the same positions.
     relative = splat_tolerance(len(exact.weights), CHUNKS[method])
-    assert splat_excess(sums, REFERENCE, exact, shape, sigma, radius, relative) <= 1
+    assert Range.of(exact, shape, sigma, radius).excess(sums, relative) <= 1
     if method == "gather":
         want = REFERENCE.splat(exact, shape, sigma, radius)
         assert np.all(np.abs(sums[1] - want[1]) <= relative * want[1])
@@ -587,7 +588,7 @@ def test_strips_change_nothing_but_rounding(variant, monkeypatch, rng):
     strips = variant.splat(splats, shape, 0.8, 3.6)
     for sums in (whole, strips):
         relative = splat_tolerance(len(exact.weights))
-        assert splat_excess(sums, REFERENCE, exact, shape, 0.8, 3.6, relative) <= 1
+        assert Range.of(exact, shape, 0.8, 3.6).excess(sums, relative) <= 1
 
 
 @pytest.mark.parametrize("sigma", [0.34, 0.66, 0.67, 1.33, 1.34, 5.0, 21.0])
@@ -820,7 +821,7 @@ def test_splats_with_own_widths(variant, method, rng, name, shape, sigma):
     same = own[1]._replace(width_levels=levels, weights=scaled)
     got = variant.splat(own[0], shape, sigma, 4.5 * sigma)
     relative = 2 * splat_tolerance(n, CHUNKS[method])
-    assert splat_excess(got, REFERENCE, same, shape, sigma, 4.5 * sigma, relative) <= 1
+    assert Range.of(same, shape, sigma, 4.5 * sigma).excess(got, relative) <= 1
 
 
 def test_widths_by_their_definition(variant):

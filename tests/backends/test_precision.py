@@ -19,7 +19,7 @@ from clmorph.backends.opencl.devices.verdicts import (
     save_verdict,
     verdict_key,
 )
-from clmorph.backends.verification.clouds import log_sum_exp_tolerance
+from clmorph.backends.opencl.verification.bench import log_sum_exp_tolerance
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()

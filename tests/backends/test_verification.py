@@ -18,7 +18,7 @@ from planted import FAULTS, Fault
 
 import clmorph
 from clmorph import DeviceError, morph
-from clmorph.backends.opencl import probe, verification
+from clmorph.backends.opencl import probe
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program, programs
 from clmorph.backends.opencl.build.constants import (
@@ -40,6 +40,7 @@ from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
 from clmorph.backends.opencl.devices.verdicts import OPTIONAL
+from clmorph.backends.opencl.verification import table as verification
 
 ROW_FILES = "barycentric_projection.cl", "log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl"
 PLAIN = Variant("log_sum_exp.cl", 5)
@@ -186,26 +187,37 @@ def test_the_variants_are_of_every_file():
     assert set(usual_variants() + further_variants()) <= set(VARIANTS)
 
 
-@pytest.mark.parametrize("quirk", QUIRKS)
+@pytest.mark.small
 @pytest.mark.parametrize("built", VARIANTS, ids=str)
-def test_every_variant_is_right_with_each_quirk(device, quirk, built):
-    constants = choose_constants(device.device, find_quirks(device.device) | {quirk})
+def test_every_variant_is_right(variant, built):
+    if not built.suits(variant.constants):
+        pytest.skip("there the host iterates")
+    assert verification.first_failure(variant, built) == ""
+
+
+ON_CARDS = "small_groups", "small_local_memory", "inexact_exp2"
+#: Quirks, of the device's own build and of a graphics card's.
+QUIRKY = [pytest.param(quirk, False, id=quirk) for quirk in QUIRKS]
+QUIRKY += [
+    pytest.param(quirk, True, id=f"{quirk} on a card", marks=pytest.mark.full) for quirk in ON_CARDS
+]
+
+
+@pytest.mark.parametrize(("quirk", "of_card"), QUIRKY)
+@pytest.mark.parametrize("built", VARIANTS, ids=str)
+def test_every_variant_is_right_with_each_quirk(device, quirk, of_card, built):
+    """Where a quirk changes the program or its launches."""
+    own = find_quirks(device.device)
+    plain = gpu_constants(256) if of_card else choose_constants(device.device, frozenset())
+    without, constants = (apply_quirks(plain, quirks) for quirks in (own - {quirk}, own | {quirk}))
     if not built.suits(constants):
         pytest.skip("there the host iterates")
+    if constants.longest_loop == without.longest_loop and (
+        built.macros(constants) == built.macros(without)
+    ):
+        pytest.skip("the quirk changes nothing of this program")
     forced = OpenCLOperations(device.device, constants, verify=False)
     assert verification.first_failure(forced, built) == ""
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("quirk", ["small_groups", "small_local_memory", "inexact_exp2"])
-def test_every_variant_is_right_on_a_gpus_build_with_a_quirk(device, quirk):
-    constants = apply_quirks(gpu_constants(256), find_quirks(device.device) | {quirk})
-    forced = OpenCLOperations(device.device, constants, verify=False)
-    # Exponentials are computed in few files; the other quirks change how all kernels are launched.
-    files = ("log_sum_exp.cl", "near_field.cl", "splat.cl") if quirk == "inexact_exp2" else KERNELS
-    for built in VARIANTS:
-        if built.file in files and built.suits(constants):
-            assert verification.first_failure(forced, built) == ""
 
 
 def test_where_loops_are_short_the_longest_stored_rows_are_right(device):

@@ -15,7 +15,6 @@ import pytest
 from conftest import TESTED, USABLE, found_anew
 
 from clmorph import DeviceError, InputError
-from clmorph.backends.comparison import Finding
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.build.constants import (
     apply_quirks,
@@ -34,6 +33,7 @@ from clmorph.backends.opencl.devices.install_hints import (
     missing_files,
 )
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
+from clmorph.backends.opencl.verification.findings import Finding
 from clmorph.cli import conformance
 from clmorph.cli.conformance import check
 from clmorph.cli.main import main

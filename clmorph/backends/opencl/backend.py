@@ -31,7 +31,7 @@ from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.sliced_ellpack import SlicedEllpack
 from clmorph.backends.opencl.kernels.sparse_half_steps import StoredSteps
 from clmorph.backends.opencl.kernels.splat import Splatting
-from clmorph.backends.opencl.verification import first_failure
+from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.errors import DeviceError
 
 P = ParamSpec("P")

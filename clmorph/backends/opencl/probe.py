@@ -31,7 +31,8 @@ from clmorph.backends.opencl.devices.trial import (
     WITHOUT,
 )
 from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, SLOW_FLOAT64, condemns
-from clmorph.backends.opencl.verification import first_failure
+from clmorph.backends.opencl.verification.findings import words_of
+from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.errors import ClmorphError
 
 #: The number of points of the timed log-sum-exp, small enough for any device.
@@ -53,46 +54,42 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
     found = dict(raw_devices())
     if index not in found:
         return _failure("its probe did not find it", lasting=False)
-    constants, variants = None, list(usual_variants())
     device, speed, eighths = found[index], 0.0, 0
     skipped = request.split() if request and request.startswith(WITHOUT) else []
-    if skipped:
-        request = None
+    whole = request is None or bool(skipped)
     try:
-        if request == FURTHER:
-            constants, variants = _with_faster_exponents(device), list(further_variants())
-            variants = [variant for variant in variants if variant.suits(constants)]
-        elif request is not None:
-            constants, variants = read_request(request)
-        else:
+        if whole or request == FURTHER:
             # A tuned build is no reason to refuse the device; it is verified when it is used.
             constants = _with_faster_exponents(device)
-            variants = [each for each in variants if each.suits(constants)]
-            variants = [each for each in variants if each.file not in skipped]
+            variants = [
+                variant for variant in (usual_variants() if whole else further_variants())
+                if variant.suits(constants) and variant.file not in skipped
+            ]  # fmt: skip
+        else:
+            constants, variants = read_request(str(request))
         operations = OpenCLOperations(device, constants, verify=False, profiled=True)
-        failures = []
+        failure: dict[str, Any] = {}
         for variant in variants:
-            key = program_key(device, variant, operations.constants)
-            print(f"\n{BEGUN} {key} {variant}", flush=True)
+            print(f"\n{BEGUN} {program_key(device, variant, constants)} {variant}", flush=True)
             reason, lasting = _check(operations, variant)
             print(f"\n{ENDED} {json.dumps(reason if lasting else None)}", flush=True)
-            if request is None and variant.is_optional and not condemns(reason, True):
+            if whole and variant.is_optional and not condemns(reason, True):
                 continue
-            failures.append((reason, lasting))
-            # Of the programs of a request each gets a verdict.
-            if reason and request is None:
-                break
-        for reason, lasting in failures:
             if reason:
-                return _failure(reason, lasting)
-        if request is None:
+                failure = failure or _failure(reason, lasting)
+                # Of the programs of a request each gets a verdict.
+                if whole:
+                    break
+        if failure:
+            return failure
+        if whole:
             speed = throughput(operations, TIMED_POINTS)
             if not operations.on_processor:
                 eighths = many_eighths(operations, speed)
     except Exception as error:  # a driver's errors come in any class; the reason is shown
         return _failure(_words(error), lasting=not _is_passing(error, device))
     verdict = {"usable": True, "reason": "", "pairs_per_second": speed, "lasting": True}
-    if request is None and constants.precise < choose_constants(device).precise:
+    if whole and constants.precise < choose_constants(device).precise:
         verdict[SLOW_FLOAT64] = True
     if eighths:
         verdict[MANY_EIGHTHS] = eighths
@@ -128,9 +125,7 @@ def _check(operations: OpenCLOperations, variant: Variant) -> tuple[str, bool]:
 
 def _words(error: Exception) -> str:
     """Return an error in one line."""
-    if isinstance(error, ClmorphError):
-        return str(error).split(";")[0]
-    return " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    return str(error).split(";")[0] if isinstance(error, ClmorphError) else words_of(error)[:300]
 
 
 def _failure(reason: str, lasting: bool) -> dict[str, Any]:

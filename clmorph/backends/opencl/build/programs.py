@@ -63,49 +63,12 @@ class Programs:
 
         Of the programs that one morph uses, all whose verdicts are unknown are verified together.
         """
-        key = self._key(variant)
-        reason = verdicts.load_program_verdict(key)
-        if reason is None:
-            reason = self._verify(variant)
+        verdict = verdicts.load_program_verdict(self._key(variant)) or self._verdict(variant)
+        reason = verdict.reason
         if not reason:
             return
-        if verdicts.is_lasting(key):
-            self._refuse(reason, variant)
-        else:
+        if not verdict.lasting:
             raise ProgramError(f"{self._name()} is not used for now: {reason}; {_ADVICE}")
-
-    def _key(self, variant: Variant) -> str:
-        return program_key(self._device, variant, self._constants)
-
-    def _verify(self, variant: Variant) -> str:
-        """Verify a program whose verdict is unknown, and return what is wrong with it."""
-        key, index = self._key(variant), index_of(self._device)
-        if index is None or not trial.can_start_process():
-            assert self._check_here is not None
-            reason = self._check_here(variant)
-            verdicts.save_program_verdict(key, reason)
-            return reason
-        together = [variant]
-        usual = used_together(variant)
-        if variant in usual:
-            together += [
-                other for other in usual
-                if other != variant and other.suits(self._constants)
-                and verdicts.load_program_verdict(self._key(other)) is None
-            ]  # fmt: skip
-        result = trial.run_probe(index, request=make_request(self._constants, together))
-        found = verdicts.load_program_verdict(key)
-        if found is not None:
-            return found
-        # Its check came first, and ended without a verdict that another check would repeat.
-        reason = result["reason"] or "its check ended without a verdict"
-        if not result.get("timed_out"):
-            # A kill, a lack of memory: the next use checks it again.
-            raise DeviceError(f"{self._name()}: {variant} was not verified: {reason}; try again")
-        verdicts.save_program_verdict(key, reason, lasting=False)
-        return reason
-
-    def _refuse(self, reason: str, variant: Variant) -> None:
         if self._chosen and self._constants != choose_constants(self._device):
             # The fault may be that of the tuned build alone.
             forget_tuning(self._device)
@@ -118,6 +81,30 @@ class Programs:
         if self._chosen:
             mark_unusable(self._device, reason)
         raise DeviceError(f"{self._name()} is unusable: {reason}; {_ADVICE}")
+
+    def _key(self, variant: Variant) -> str:
+        return program_key(self._device, variant, self._constants)
+
+    def _verdict(self, variant: Variant) -> verdicts.ProgramVerdict:
+        """Verify a program whose verdict is unknown; its check comes first."""
+        key, index = self._key(variant), index_of(self._device)
+        if index is None or not trial.can_start_process():
+            assert self._check_here is not None
+            return verdicts.save_program_verdict(key, self._check_here(variant))
+        others = [
+            other for other in used_together(variant)
+            if other != variant and other.suits(self._constants)
+            and verdicts.load_program_verdict(self._key(other)) is None
+        ]  # fmt: skip
+        result = trial.run_probe(index, request=make_request(self._constants, [variant, *others]))
+        if (found := verdicts.load_program_verdict(key)) is not None:
+            return found
+        # Its check ended without a verdict that another check would repeat.
+        reason = result["reason"] or "its check ended without a verdict"
+        if not result.get("timed_out"):
+            # A kill, a lack of memory: the next use checks it again.
+            raise DeviceError(f"{self._name()}: {variant} was not verified: {reason}; try again")
+        return verdicts.save_program_verdict(key, reason, lasting=False)
 
     def _name(self) -> str:
         return f"{' '.join(self._device.name.split())} ({self._device.platform.name.strip()})"

@@ -14,8 +14,7 @@ from clmorph.backends.opencl.devices.runtimes import list_platforms
 from clmorph.backends.opencl.devices.trial import FURTHER, probe_seconds, run_probe
 from clmorph.backends.opencl.devices.verdicts import (
     driver_identity,
-    forget_all,
-    forget_verdict,
+    forget,
     load_verdict,
     refuse,
     save_verdict,
@@ -115,7 +114,7 @@ def _forget_found() -> None:
 
 def forget_verdicts() -> None:
     """Forget all verdicts on devices and programs, so that the next search tests them again."""
-    forget_all()
+    forget()
     _forget_found()
 
 
@@ -127,7 +126,7 @@ def mark_unusable(handle: "cl.Device", reason: str) -> None:
 
 def try_again(handle: "cl.Device") -> None:
     """Forget the verdict on a device, so that it is tried when it is next needed."""
-    forget_verdict(verdict_key(handle))
+    forget(verdict_key(handle))
     _forget_found()
 
 

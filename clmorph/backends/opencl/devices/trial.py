@@ -6,7 +6,6 @@ A driver may abort or hang its process, so no program is run in this process bef
 import contextlib
 import json
 import os
-import queue
 import re
 import signal
 import subprocess
@@ -15,7 +14,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from clmorph._shared.validation import check_number
 from clmorph.backends.opencl.devices.verdicts import CRASHED, OPTIONAL, save_program_verdict
@@ -60,63 +59,46 @@ def probe_seconds() -> float:
     return check_number(PROBE_SECONDS_VARIABLE, value, 1, 3600)
 
 
-def run_probe(
-    index: str, seconds: float | None = None, request: str | None = None
-) -> dict[str, Any]:
-    """Return the verdict of `_probe_once`; a trial that ends in an optional program is repeated.
-
-    It is repeated without the program.
-    """
-    skipped: list[str] = []
-    while True:
-        without = WITHOUT + " ".join(skipped) if skipped else request
-        verdict = _probe_once(index, seconds, without)
-        under_check = verdict.pop("under_check", "")
-        if request is not None or under_check not in OPTIONAL or under_check in skipped:
-            return verdict
-        skipped.append(under_check)
-
-
-def _probe_once(index: str, seconds: float | None, request: str | None) -> dict[str, Any]:
+def run_probe(index: str, request: str | None = None) -> dict[str, Any]:
     """Build and verify kernels on a device of `raw_devices`, in a separate process.
 
     `request` names the programs to verify (`programs.make_request`, or `FURTHER`); by default they
-    are those that most morphs use, and the speed is measured. Each may take `seconds`, by default
-    `probe_seconds`. The verdicts on the programs that were checked are saved, even if the process
-    then fails.
+    are those that most morphs use, and the speed is measured. Each may take `probe_seconds`. The
+    verdicts on the programs that were checked are saved, even if the process then fails. A trial
+    that ends in an optional program is repeated without it.
 
     The result has the entries usable (bool), reason (str), pairs_per_second (float), lasting
     (bool), which states whether another probe would return the same verdict, and if it ran out of
     time, timed_out (True).
     """
-    seconds = probe_seconds() if seconds is None else seconds
-    python = _interpreter()
+    skipped: list[str] = []
+    while True:
+        verdict, under_check = _probe_once(
+            index, WITHOUT + " ".join(skipped) if skipped else request
+        )
+        if request is not None or under_check not in OPTIONAL or under_check in skipped:
+            return verdict
+        skipped.append(under_check)
+
+
+def _probe_once(index: str, request: str | None) -> tuple[dict[str, Any], str]:
+    """Return a verdict, and the program whose check did not end."""
+    seconds, python = probe_seconds(), _interpreter()
     if python is None:
-        return _untried(
+        return _failed(
             f"cannot be tried, because {sys.executable or 'an empty sys.executable'!r} is no "
             "Python interpreter: name one with multiprocessing.set_executable"
-        )
-    command = _command(python, index, request)
+        ), ""
     # The probe ends when this pipe is closed, which happens however this process ends.
     reading, writing = os.pipe()
     try:
-        done = _run(command, seconds, reading)
-    except subprocess.TimeoutExpired as error:
-        key, under_check = _keep_program_verdicts(str(error.output or "").splitlines())
-        verdict = _untried(
-            f"did not build and verify {under_check or 'the kernels'} within {seconds:g} s; it is "
-            f"tried again by the next process, and {PROBE_SECONDS_VARIABLE} sets how many seconds "
-            "it may take"
-        ) | {"timed_out": True, "under_check": under_check}
-        if under_check in OPTIONAL:
-            save_program_verdict(key, verdict["reason"], lasting=False)
-        return verdict
+        ended = _run(_command(python, index, request), seconds, reading)
     except OSError as error:
-        return _untried(f"cannot be tried ({python}: {error.strerror})")
+        return _failed(f"cannot be tried ({python}: {error.strerror})"), ""
     finally:
         os.close(reading)
         os.close(writing)
-    return _judge(done)
+    return _judge(ended, seconds)
 
 
 def _command(python: str, index: str, request: str | None) -> list[str]:
@@ -125,13 +107,20 @@ def _command(python: str, index: str, request: str | None) -> list[str]:
     return command if request is None else [*command, request]
 
 
-def _run(command: list[str], seconds: float, reading: int) -> "subprocess.CompletedProcess[str]":
+class Ended(NamedTuple):
+    """How a probe ended: its status, None if it ran out of time, and what it printed."""
+
+    status: int | None
+    lines: list[str]
+    errors: list[str] = []  # noqa: RUF012 (nothing is added)
+
+
+def _run(command: list[str], seconds: float, reading: int) -> Ended:
     """Run a process, which may take `seconds` for each of the lines that it prints.
 
     The end of the process counts, and not that of its standard output, which a further process
     that a driver has started may keep open.
     """
-    found: queue.Queue[str | None] = queue.Queue()
     lines: list[str] = []
     with tempfile.TemporaryFile() as noise:
         process = subprocess.Popen(
@@ -139,78 +128,69 @@ def _run(command: list[str], seconds: float, reading: int) -> "subprocess.Comple
             text=True, errors="replace",
         )  # fmt: skip
         assert process.stdout is not None
-        threading.Thread(target=_pass_on, args=(process.stdout, found), daemon=True).start()
+        reader = threading.Thread(target=_read, args=(process.stdout, lines), daemon=True)
+        reader.start()
+        status, known, deadline = None, 0, time.monotonic() + seconds
         try:
-            deadline, ended = time.monotonic() + seconds, False
-            while True:
-                try:
-                    line = found.get(timeout=_STEP)
-                except queue.Empty:
-                    # The last lines may come a moment after the end.
-                    if ended:
-                        break
-                    ended = process.poll() is not None
-                    if not ended and time.monotonic() > deadline:
-                        raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
-                    continue
-                if line is None:
-                    break
-                lines.append(line)
-                deadline = time.monotonic() + seconds
-            try:
-                code = process.wait(timeout=seconds)
-            except subprocess.TimeoutExpired:
-                raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
+            while status is None and time.monotonic() < deadline:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    status = process.wait(timeout=_STEP)
+                if len(lines) > known:
+                    known, deadline = len(lines), time.monotonic() + seconds
         finally:
             process.kill()
             # A process that waits in a kernel's driver cannot be killed, and is not waited for.
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(timeout=_PATIENCE)
+        reader.join(_STEP)  # the last lines may come a moment after the end
         noise.seek(0)
-        complaints = noise.read().decode(errors="replace")
-    return subprocess.CompletedProcess(command, code, "".join(lines), complaints)
+        errors = noise.read().decode(errors="replace").splitlines()
+    return Ended(status, list(lines), errors)
 
 
-def _pass_on(pipe: IO[str], found: "queue.Queue[str | None]") -> None:
-    """Put the lines of a pipe, which this thread owns and closes, into a queue; None at the end."""
+def _read(pipe: IO[str], lines: list[str]) -> None:
+    """Collect the lines of a pipe, which this thread owns and closes."""
     with pipe:
         for line in pipe:
-            found.put(line)
-    found.put(None)
+            lines.append(line.rstrip("\r\n"))
 
 
-def _untried(reason: str) -> dict[str, Any]:
-    return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": False}
+def _failed(reason: str, lasting: bool = False) -> dict[str, Any]:
+    return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": lasting}
 
 
-def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
-    """Return the verdict of a probe that has ended."""
-    lines = done.stdout.strip().splitlines()
-    key, under_check = _keep_program_verdicts(lines)
+def _judge(ended: Ended, seconds: float = PROBE_SECONDS) -> tuple[dict[str, Any], str]:
+    """Return the verdict of a probe that has ended, and the program whose check did not end."""
+    status, lines = ended.status, ended.lines
+    key, name = _keep_program_verdicts(lines)
     words = [line.partition(" ") for line in lines]
-    if done.returncode == 0 and (found := [rest for word, _, rest in words if word == VERDICT]):
+    if status == 0 and (found := [rest for word, _, rest in words if word == VERDICT]):
         with contextlib.suppress(ValueError, TypeError):
-            return dict(json.loads(found[-1]))
-    noise = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-    reason = noise[-1] if noise else "no output"
-    name, under_check = under_check, under_check or "a kernel"
-    # If the probe has not opened the device yet, the driver is not the cause of the failure.
-    lasting = LOADED in lines
-    if lasting:
-        reason = f"{CRASHED} (status {done.returncode}) on {under_check}: {reason}"
+            return dict(json.loads(found[-1])), name
+    noise = next((line.strip() for line in ended.errors[::-1] if line.strip()), "no output")
+    crashed = f"{CRASHED} ({{}} {abs(status or 0)}) on {name or 'a kernel'}"
+    lasting, outside = True, [getattr(signal, each, None) for each in _FROM_OUTSIDE]
+    if status is None:
+        lasting, reason = False, (
+            f"did not build and verify {name or 'the kernels'} within {seconds:g} s; it is tried "
+            f"again by the next process, and {PROBE_SECONDS_VARIABLE} sets how many seconds it may "
+            "take"
+        )  # fmt: skip
+    elif status == _CONTROL_C:
+        lasting, reason = False, f"its probe was killed (status {status:#x})"
+    elif status < 0 and -status in outside:
+        lasting, reason = False, f"its probe was killed (signal {-status})"
+    elif status < 0:
+        reason = crashed.format("signal")
+    elif LOADED in lines:
+        reason = f"{crashed.format('status')}: {noise}"
     else:
-        reason = f"its probe ended with status {done.returncode}: {reason}"
-    if done.returncode == _CONTROL_C:
-        lasting, reason = False, f"its probe was killed (status {done.returncode:#x})"
-    if done.returncode < 0:
-        lasting = True
-        reason = f"{CRASHED} (signal {-done.returncode}) on {under_check}"
-        outside = [getattr(signal, name, None) for name in _FROM_OUTSIDE]
-        if -done.returncode in outside:
-            lasting, reason = False, f"its probe was killed (signal {-done.returncode})"
-    if lasting and key:
-        save_program_verdict(key, reason)
-    return _untried(reason) | {"lasting": lasting, "under_check": name}
+        # The probe had not opened the device yet, so the driver is not the cause of the failure.
+        lasting, reason = False, f"its probe ended with status {status}: {noise}"
+    if key and (lasting or (status is None and name in OPTIONAL)):
+        save_program_verdict(key, reason, lasting)
+    verdict = _failed(reason, lasting)
+    return (verdict | {"timed_out": True} if status is None else verdict), name
 
 
 def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:

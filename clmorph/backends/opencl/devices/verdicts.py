@@ -1,7 +1,7 @@
-"""Verdicts on devices and programs: their keys, and where they are stored.
+"""Verdicts on devices and programs, which come from `devices.trial`: keys, and where they are kept.
 
-A verdict that depends on the device and its driver is stored; a verdict with a temporary cause (a
-timeout, a lack of memory, a kill by the user) is not. Verdicts come from `devices.trial`.
+A verdict that depends on the device and its driver is stored; one with a temporary cause (a
+timeout, a lack of memory, a kill by the user) is not.
 """
 
 import hashlib
@@ -10,7 +10,7 @@ import os
 import platform
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from clmorph.backends.opencl.devices.cache import forget_cached, load_record, save_record
 
@@ -29,7 +29,19 @@ MANY_EIGHTHS, USUAL_EIGHTHS = "many_eighths", 5
 #: What the reason of a verdict begins with if the driver ended the process of the check.
 CRASHED = "its driver crashed"
 #: The folders of verdicts on devices and on programs in the cache, with one file for each verdict.
-_FOLDER, _PROGRAMS = "devices", "verified"
+_DEVICES, _PROGRAMS = "devices", "verified"
+
+
+class ProgramVerdict(NamedTuple):
+    """What is wrong with a program, '' if nothing is, and whether another check would find it."""
+
+    reason: str
+    lasting: bool = True
+
+
+#: Verdicts on devices that this process has refused, and on programs, by their keys.
+_refused: dict[str, dict[str, Any]] = {}
+_programs: dict[str, ProgramVerdict] = {}
 
 
 @cache
@@ -81,6 +93,9 @@ def _digest(*identity: str) -> str:
     return hashlib.sha256("|".join(identity).encode()).hexdigest()[:32]
 
 
+# --- devices ------------------------------------------------------------------------------
+
+
 def load_verdict(key: str) -> dict[str, Any] | None:
     """Return the stored verdict of a `verdict_key`; None if it is missing or damaged.
 
@@ -88,17 +103,11 @@ def load_verdict(key: str) -> dict[str, Any] | None:
     """
     if key in _refused:
         return _refused[key]
-    verdict = load_record(f"{_FOLDER}/{key}")
+    verdict = load_record(f"{_DEVICES}/{key}")
     usable, reason = verdict.get("usable"), verdict.get("reason")
     speed = verdict.get("pairs_per_second")
-    whole = (
-        isinstance(usable, bool)
-        and isinstance(reason, str)
-        and usable != bool(reason)
-        and isinstance(speed, float)
-        and math.isfinite(speed)
-        and speed >= 0
-    )
+    whole = isinstance(usable, bool) and isinstance(reason, str) and usable != bool(reason)
+    whole = whole and isinstance(speed, float) and math.isfinite(speed) and speed >= 0
     return verdict if whole else None
 
 
@@ -126,7 +135,7 @@ def probed_eighths(device: "cl.Device") -> int:
 def save_verdict(key: str, verdict: dict[str, Any]) -> None:
     """Store a verdict, unless its cause is temporary."""
     if verdict.get("lasting", True):
-        save_record(f"{_FOLDER}/{key}", verdict)
+        save_record(f"{_DEVICES}/{key}", verdict)
 
 
 def refuse(key: str, reason: str) -> None:
@@ -140,51 +149,37 @@ def refusals() -> int:
     return len(_refused)
 
 
-def forget_verdict(key: str) -> None:
-    """Forget the verdict on a device, and those on all programs."""
-    _refused.pop(key, None)
-    forget_cached(f"{_FOLDER}/{key}.json")
-    forget_programs()
-
-
-def forget_all() -> None:
-    """Forget every verdict, on devices and on programs."""
-    _refused.clear()
-    forget_cached(_FOLDER)
-    forget_programs()
+def forget(key: str | None = None) -> None:
+    """Forget the verdict on a device, by default on all devices, and those on all programs."""
+    if key is None:
+        _refused.clear()
+    else:
+        _refused.pop(key, None)
+    forget_cached(_DEVICES if key is None else f"{_DEVICES}/{key}.json")
+    _programs.clear()
+    forget_cached(_PROGRAMS)
 
 
 # --- programs -----------------------------------------------------------------------------
 
-#: Verdicts on devices that this process has refused, and on programs, by their keys.
-_refused: dict[str, dict[str, Any]] = {}
-_programs: dict[str, str] = {}
-#: Keys of the verdicts on programs with a temporary cause.
-_momentary: set[str] = set()
 
-
-def load_program_verdict(key: str) -> str | None:
-    """Return what is wrong with a program, '' if nothing is; None if it must be verified."""
+def load_program_verdict(key: str) -> ProgramVerdict | None:
+    """Return the verdict on a program; None if it must be verified."""
     if key not in _programs:
         record = load_record(f"{_PROGRAMS}/{key}")
         passed, reason = record.get("passed"), record.get("reason")
         if not (isinstance(passed, bool) and isinstance(reason, str) and passed != bool(reason)):
             return None
-        _programs[key] = reason
+        _programs[key] = ProgramVerdict(reason)
     return _programs[key]
 
 
-def save_program_verdict(key: str, reason: str, lasting: bool = True) -> None:
-    """Remember what is wrong with a program, '' if nothing is.
-
-    If another check might find otherwise (not `lasting`), only this process remembers it.
-    """
-    _programs[key] = reason
-    _momentary.discard(key)
+def save_program_verdict(key: str, reason: str, lasting: bool = True) -> ProgramVerdict:
+    """Remember what is wrong with a program; only in this process if not `lasting`."""
     if lasting:
         save_record(f"{_PROGRAMS}/{key}", {"passed": not reason, "reason": reason})
-    else:
-        _momentary.add(key)
+    _programs[key] = ProgramVerdict(reason, lasting)
+    return _programs[key]
 
 
 def condemns(reason: str, optional: bool = False) -> bool:
@@ -193,15 +188,3 @@ def condemns(reason: str, optional: bool = False) -> bool:
     A compiler that refuses a program, or crashes on an `optional` one, says nothing of the others.
     """
     return reason.startswith((WRONG,) if optional else (WRONG, CRASHED))
-
-
-def is_lasting(key: str) -> bool:
-    """Return whether another check of a program would give the same verdict."""
-    return key not in _momentary
-
-
-def forget_programs() -> None:
-    """Forget the verdicts on programs."""
-    _programs.clear()
-    _momentary.clear()
-    forget_cached(_PROGRAMS)

@@ -1,11 +1,10 @@
-"""Checks of nearest seeds."""
-
-from collections.abc import Iterator
+"""The check of nearest seeds."""
 
 import numpy as np
 
-from clmorph.backends.comparison import UNIT, Finding
-from clmorph.backends.interface import Operations
+from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.verification.bench import Bench, Findings, check
+from clmorph.backends.opencl.verification.findings import UNIT, Finding, count_differences
 from clmorph.backends.records import Float32
 
 #: How far a square of a distance may be off, relative to it: four roundings, of each of two seeds.
@@ -21,26 +20,19 @@ def seeds_of(shape: tuple[int, int], count: int) -> dict[str, Float32]:
     clusters = places[rng.integers(0, 5, count)] + rng.normal(0.0, 0.1, (count, 2))
     # Ties of any number of seeds, some of them in the same place; all numbers are exact.
     lattice = rng.integers(-2, np.array([width, height]) + 2, (count, 2)) + 0.5
-    return {
-        "spread": about.astype(np.float32),
-        "outside": (about + np.array([40.0 * width, -30.0 * height])).astype(np.float32),
-        "in clusters": clusters.astype(np.float32),
-        "on a lattice": lattice.astype(np.float32),
-    }
+    outside = about + np.array([40.0 * width, -30.0 * height])
+    made = {"spread": about, "outside": outside, "in clusters": clusters, "on a lattice": lattice}
+    return {name: seeds.astype(np.float32) for name, seeds in made.items()}
 
 
-def check_nearest_seeds(
-    operations: Operations,
-    exact: Operations,
-    shape: tuple[int, int] = (45, 70),
-    count: int = 3000,
-) -> Iterator[Finding]:
+@check("nearest_seeds.cl")
+def nearest_seeds(bench: Bench, variant: Variant) -> Findings:
     """Compare nearest seeds: by their distances and, where these are exact, by their indices."""
+    shape, count = ((120, 160), 20_000) if bench.pictures else ((45, 70), 3000)
     for name, seeds in seeds_of(shape, count).items():
-        got, want = (backend.nearest_seeds(seeds, shape) for backend in (operations, exact))
+        got, want = (x.nearest_seeds(seeds, shape) for x in bench.both)
         if name == "on a lattice":
-            wrong = float(np.count_nonzero(got != want))
-            yield Finding(f"nearest_seeds, {name}", wrong, 0.0, "indices")
+            yield Finding(f"nearest_seeds, {name}", count_differences(got, want), 0.0, "indices")
             continue
         error = seed_excess(seeds, got, want)
         yield Finding(f"nearest_seeds, {name}", error, SEED_TOLERANCE, "of a squared distance")

@@ -1,15 +1,16 @@
-"""Checks of sums over grids."""
-
-from collections.abc import Iterator
+"""The check of sums over grids."""
 
 import numpy as np
 
-from clmorph.backends.comparison import UNIT, Finding
-from clmorph.backends.interface import Operations
+from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.verification.bench import Bench, Findings, check
+from clmorph.backends.opencl.verification.findings import UNIT, Finding, largest
 from clmorph.backends.records import Float64
 
 #: Numbers of places and of cells along the axes: fewer and more than lanes and chunks, and one.
 SIZES = (((37,), (50,)), ((5, 1), (1, 130)), ((9, 4, 17), (3, 21, 8)))
+#: Those of a whole device.
+LARGE = (((70, 90),) * 2, ((33, 21, 40),) * 2)
 #: Differences of neighboring coordinates in units of the kernel's width: sums over few neighbors,
 #: and over all cells.
 STEPS = 4.0, 0.6, 0.02
@@ -35,27 +36,22 @@ def grid_case(
     return exponents, axes
 
 
-def check_grids(
-    operations: Operations,
-    exact: Operations,
-    precise: bool,
-    more: tuple[tuple[int, ...], ...] = (),
-) -> Iterator[Finding]:
+@check("grid_log_sum_exp.cl")
+def grids(bench: Bench, variant: Variant) -> Findings:
     """Compare sums over grids.
 
     In each pass exponents are rounded relative to their size, squared distances to the square of
     the extent, and sums of m terms m times at most.
     """
-    for places, cells in (*SIZES, *((shape, shape) for shape in more)):
+    unit = 2.0**-50 if variant.precise else 2 * UNIT
+    for places, cells in (*SIZES, *(LARGE if bench.pictures else ())):
         for step in STEPS:
             exponents, axes = grid_case(places, cells, step)
-            got = operations.grid_log_sum_exp(exponents, axes, precise)
-            want = exact.grid_log_sum_exp(exponents, axes, precise)
-            finite = exponents[np.isfinite(exponents)]
             costs = sum(float(np.ptp(np.concatenate(axis))) ** 2 for axis in axes)
-            size = float(np.ptp(finite)) + 8 * costs + sum(cells) + 40
-            unit = 2.0**-50 if precise else 2 * UNIT
-            error = float(np.nan_to_num(np.abs(got - want), nan=np.inf).max())
-            tolerance = unit * len(axes) * size
+            extent = float(np.ptp(exponents[np.isfinite(exponents)]))
+            tolerance = unit * len(axes) * (extent + 8 * costs + sum(cells) + 40)
             name = f"grid_log_sum_exp, {' x '.join(map(str, places))}, step {step:g}"
-            yield Finding(name, error / tolerance, 1.0, "of the tolerance")
+            got, want = (
+                backend.grid_log_sum_exp(exponents, axes, variant.precise) for backend in bench.both
+            )
+            yield Finding(name, largest(got - want) / tolerance)

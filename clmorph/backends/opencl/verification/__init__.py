@@ -1,0 +1,1 @@
+"""The comparisons of a device's operations with NumPy, one row of a table each."""
