@@ -1,9 +1,8 @@
 """Compare a device with NumPy in every operation and in one whole morph."""
 
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,14 @@ from numpy.typing import NDArray
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.kernel_files import KERNELS
-from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS, Finding, words_of
+from clmorph.backends.opencl.verification.findings import (
+    SIGNS_OF_WRONG_RESULTS,
+    Finding,
+    words_of,
+)
 from clmorph.errors import InputError
 from clmorph.measures.lift import lift
 from clmorph.pipeline.morph import morph
-
-_EVERY = tuple(kernel for kernels in KERNELS.values() for kernel in kernels)
 
 
 def _picture(side: int, phase: float) -> NDArray[np.float64]:
@@ -28,36 +29,35 @@ def _picture(side: int, phase: float) -> NDArray[np.float64]:
 
 
 def check(operations: Operations, kernels: Sequence[str] = ()) -> Iterator[Finding]:
-    """Compare a backend with NumPy, one operation after the other.
+    """Compare a backend with NumPy, one operation after the other, and a morph.
 
     If names of kernels, or of kernel files with or without their ending, are given, only the
-    operations that use one of them are compared.
+    operations that use one of them are compared. An error to which wrong results lead is a finding,
+    too: the data of the comparisons are right, so those of clmorph come from wrong results as well.
     """
-    wanted = _wanted(kernels)
-    for kernels_of_check, run in _checks(operations):
-        if not kernels or wanted & set(kernels_of_check):
-            yield from _findings(kernels_of_check, run)
+    # It imports pyopencl; where that is missing, the choice of the device has said so.
+    from clmorph.backends.opencl.verification.table import device_checks
+
+    wanted = wanted_kernels(kernels)
+    first, second = lift(_picture(37, 0.2)), lift(_picture(31, 1.7))
+    clouds = (first.points, first.weights), (second.points, second.weights)
+    for used, run in device_checks(operations, clouds):
+        if wanted & set(used):
+            yield from _findings(", ".join(used), run())
+    yield from _findings("morph", _check_morph(operations))
 
 
-def _findings(kernels: tuple[str, ...], run: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
-    """Yield what a comparison finds; an error to which wrong results lead is a finding, too."""
+def _findings(about: str, found: Iterator[Finding]) -> Iterator[Finding]:
     try:
-        yield from run()
+        yield from found
     except SIGNS_OF_WRONG_RESULTS as error:
-        # The data of the comparisons are right, so errors of clmorph come from wrong results, too.
-        about = "morph" if kernels == _EVERY else ", ".join(kernels)
         yield Finding(f"{about} ended in {words_of(error)}", np.inf, 0.0, "")
 
 
-def check_kernel_names(kernels: Sequence[str]) -> None:
-    """Raise an `InputError` for a name that is neither that of a kernel nor that of a file."""
-    _wanted(kernels)
-
-
-def _wanted(names: Sequence[str]) -> set[str]:
-    """Return the kernels that some names stand for."""
+def wanted_kernels(names: Sequence[str]) -> set[str]:
+    """Return the kernels that some names of kernels and files stand for; all if there are none."""
     found: set[str] = set()
-    for name in names:
+    for name in names or KERNELS:
         own = [
             kernel
             for file, kernels in KERNELS.items()
@@ -69,17 +69,6 @@ def _wanted(names: Sequence[str]) -> set[str]:
             raise InputError(f"--kernel {name!r}: expected a kernel or a file among {listed}")
         found.update(own)
     return found
-
-
-def _checks(operations: Operations) -> Iterator[tuple[tuple[str, ...], Callable[[], Any]]]:
-    """Yield the kernels of every comparison, and the comparison, which computes nothing yet."""
-    # It imports pyopencl; where that is missing, the choice of the device has said so.
-    from clmorph.backends.opencl.verification.table import device_checks
-
-    first, second = lift(_picture(37, 0.2)), lift(_picture(31, 1.7))
-    clouds = (first.points, first.weights), (second.points, second.weights)
-    yield from device_checks(operations, clouds)
-    yield _EVERY, partial(_check_morph, operations)
 
 
 def _check_morph(operations: Operations) -> Iterator[Finding]:
@@ -115,9 +104,7 @@ def report(
 
 
 def _record(finding: Finding) -> dict[str, Any]:
+    numbers = {"error": finding.error, "share": finding.share}
     # JSON has no infinity.
-    numbers = {
-        name: value if np.isfinite(value) else None
-        for name, value in (("error", finding.error), ("share", finding.share))
-    }
-    return asdict(finding) | numbers | {"passed": finding.passed}
+    finite = {name: value if np.isfinite(value) else None for name, value in numbers.items()}
+    return asdict(finding) | finite | {"passed": finding.passed}

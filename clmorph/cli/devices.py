@@ -155,9 +155,9 @@ def check_devices(
     no longer unusable because of a wrong result. If there are `kernels`, only operations that use
     one of these, or of these files, are compared.
     """
-    from clmorph.cli.conformance import check_kernel_names
+    from clmorph.cli.conformance import wanted_kernels
 
-    check_kernel_names(kernels)
+    wanted_kernels(kernels)  # or an error
     devices = _choose(spec, every, even_wrong=spec is not None)
     if report is not None:
         if is_standard_output(report):

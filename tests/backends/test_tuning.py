@@ -27,6 +27,8 @@ from clmorph.backends.opencl.devices.cache import load_record, save_record
 from clmorph.backends.opencl.tuner import tune
 from clmorph.cli.main import main
 
+VARIANT = Variant("plan_shares.cl", 5)
+
 
 @pytest.fixture(autouse=True)
 def empty_cache(monkeypatch, tmp_path):
@@ -131,22 +133,6 @@ def test_the_devices_clock_measures_kernels(device):
         assert 0.01 <= seconds[profiled] <= time.perf_counter() - began
 
 
-@pytest.mark.full
-def test_variants_compute_the_same(device, rng):
-    """A sample of them: constants change speed only."""
-    points = rng.random((300, 5)), rng.random((200, 5))
-    g = 0.1 * rng.random(200)
-    start = choose_constants(device.device)
-    results = []
-    for name in ("tile", "unroll", "width"):
-        for constants in list(tuning.variants(start, name, 64))[:2]:
-            operations = OpenCLOperations(device.device, constants, verify=False)
-            clouds = [operations.upload(x, np.full(len(x), 0.01)) for x in points]
-            results.append(operations.softmin(*clouds, g, 0.01))
-    assert len(results) > 3
-    assert np.ptp(results, axis=0).max() < 1e-5 * 0.01 * 10
-
-
 def test_tuning_is_kept_and_used(device, fast_tile):
     lines = []
     start = choose_constants(device.device)
@@ -226,36 +212,36 @@ def test_the_command(capsys, fast_tile, tmp_path, monkeypatch):
     assert "contradict" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", ["wrong result of", "its driver crashed", "cannot build"])
-def test_a_tuned_build_that_fails_is_forgotten(device, fresh_search, tmp_path, monkeypatch, words):
-    """The device stays usable: its own build may be right."""
-    start, variant = choose_constants(device.device), Variant("plan_shares.cl", 5)
-    best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
-    tuned_record.save_tuning(device.device, best, start)
-    operations = OpenCLOperations(device.device)
-    assert operations.constants == best
-    key = program_key(device.device, variant, best)
-    verdicts.save_program_verdict(key, f"{words} {variant}: softmin is off by 1 nats")
-    with pytest.raises(DeviceError, match=r"tuned build: .* off by 1 nats; the tuning is now forg"):
-        operations.programs.verify(variant)
-    assert verdicts.load_verdict(verdicts.verdict_key(device.device)) is None
-    assert OpenCLOperations(device.device).constants == start
-
-
-def test_constants_of_the_caller_leave_the_tuning(device, fresh_search):
-    start, variant = choose_constants(device.device), Variant("plan_shares.cl", 5)
-    best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
-    tuned_record.save_tuning(device.device, best, start)
-    verdicts.save_program_verdict(program_key(device.device, variant, best), "wrong result of x")
-    with pytest.raises(DeviceError, match="is unusable"):
-        OpenCLOperations(device.device, best).programs.verify(variant)
-    assert tuned_constants(device.device) == best
-
-
-def test_the_first_trial_leaves_the_tuned_build_out(device, fresh_search, monkeypatch):
+@pytest.fixture
+def tuned(device, fresh_search):
+    """Another build than the device's own, which is kept as tuned."""
     start = choose_constants(device.device)
     best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
     tuned_record.save_tuning(device.device, best, start)
+    return best
+
+
+@pytest.mark.parametrize("words", ["wrong result of", "its driver crashed", "cannot build"])
+def test_a_tuned_build_that_fails_is_forgotten(device, tuned, words):
+    """The device stays usable: its own build may be right."""
+    operations = OpenCLOperations(device.device)
+    assert operations.constants == tuned
+    key = program_key(device.device, VARIANT, tuned)
+    verdicts.save_program_verdict(key, f"{words} {VARIANT}: softmin is off by 1 nats")
+    with pytest.raises(DeviceError, match=r"tuned build: .* off by 1 nats; the tuning is now forg"):
+        operations.programs.verify(VARIANT)
+    assert verdicts.load_verdict(verdicts.verdict_key(device.device)) is None
+    assert OpenCLOperations(device.device).constants == choose_constants(device.device)
+
+
+def test_constants_of_the_caller_leave_the_tuning(device, tuned):
+    verdicts.save_program_verdict(program_key(device.device, VARIANT, tuned), "wrong result of x")
+    with pytest.raises(DeviceError, match="is unusable"):
+        OpenCLOperations(device.device, tuned).programs.verify(VARIANT)
+    assert tuned_constants(device.device) == tuned
+
+
+def test_the_first_trial_leaves_the_tuned_build_out(device, tuned, monkeypatch):
     built = []
 
     def failure(operations, variant):
@@ -264,15 +250,12 @@ def test_the_first_trial_leaves_the_tuned_build_out(device, fresh_search, monkey
 
     monkeypatch.setattr(probe, "first_failure", failure)
     assert not probe.probe(find.index_of(device.device))["usable"]
-    assert built == [start]
+    assert built == [choose_constants(device.device)]
 
 
 @pytest.mark.parametrize("reason", ["wrong result of x: y", "its driver crashed (signal 6) on x"])
-def test_reset_takes_an_unusable_device(device, asked, capsys, reason, tmp_path):
+def test_reset_takes_an_unusable_device(device, tuned, asked, capsys, reason, tmp_path):
     index = find.index_of(device.device)
-    start = choose_constants(device.device)
-    best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
-    tuned_record.save_tuning(device.device, best, start)
     find.mark_unusable(device.device, reason)
     assert main(["tune", "--device", index]) == 2
     assert "unusable" in capsys.readouterr().err

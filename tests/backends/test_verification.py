@@ -1,31 +1,24 @@
 """Programs are verified before their first use; wrong ones are found, and verdicts are kept."""
 
 import json
-import os
 import re
-import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
+import planted
 import pyopencl as cl
 import pytest
 from conftest import TESTED
 from planted import FAULTS, Fault
 
-import clmorph
 from clmorph import DeviceError, morph
 from clmorph.backends.opencl import probe
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.build import program, programs
-from clmorph.backends.opencl.build.constants import (
-    apply_quirks,
-    choose_constants,
-    gpu_constants,
-)
+from clmorph.backends.opencl.build import programs
+from clmorph.backends.opencl.build.constants import apply_quirks, choose_constants, gpu_constants
 from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.programs import Programs, program_key, read_request
 from clmorph.backends.opencl.build.variants import (
@@ -39,20 +32,23 @@ from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
-from clmorph.backends.opencl.devices.verdicts import OPTIONAL
-from clmorph.backends.opencl.verification import table as verification
+from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, LOADED, Ended
+from clmorph.backends.opencl.devices.verdicts import OPTIONAL, WRONG
+from clmorph.backends.opencl.verification.table import first_failure
 
-ROW_FILES = "barycentric_projection.cl", "log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl"
 PLAIN = Variant("log_sum_exp.cl", 5)
 OTHER = Variant("plan_rows.cl", 3, precise=True)
+VARIANTS = all_variants()
+WORKS = {"usable": True, "reason": "", "pairs_per_second": 1.0, "lasting": True}
 
 pytestmark = pytest.mark.needs_device
 
 
-def of_file(file):
-    """Return the variant in which a file is checked here."""
-    row_loop = file in (*ROW_FILES, "near_field.cl")
-    return Variant(file, 5 if row_loop else 0, listed=file == "near_field.cl")
+@pytest.fixture
+def empty(monkeypatch, tmp_path, fresh_search):
+    """An empty cache, and no knowledge in this process."""
+    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
+    return tmp_path
 
 
 # --- planted faults -----------------------------------------------------------------------
@@ -68,16 +64,9 @@ def test_every_kernel_of_every_file_has_a_fault():
     assert {(file, kernel) for file, of in KERNELS.items() for kernel in of} == found
 
 
-def _planted_failure(monkeypatch, fault, variant):
-    real = program.source
-    monkeypatch.setattr(
-        program,
-        "source",
-        lambda name: fault.plant(real(name)) if name == fault.file else real(name),
-    )
-    monkeypatch.setenv("PYOPENCL_NO_CACHE", "1")
-    operations = OpenCLOperations(TESTED[0].handle, verify=False)
-    return verification.first_failure(operations, variant)
+def failure_of(fault, variant):
+    with fault.planted():
+        return first_failure(OpenCLOperations(TESTED[0].handle, verify=False), variant)
 
 
 #: By default the last kernel of each file.
@@ -91,10 +80,10 @@ LAST = {fault.file: fault for fault in FAULTS}.values()
         for fault in FAULTS
     ],
 )
-def test_a_planted_fault_is_found(monkeypatch, fault):
+def test_a_planted_fault_is_found(empty, fault):
     """In each kernel in turn; the reason names the file and an operation that uses the kernel."""
-    reason = _planted_failure(monkeypatch, fault, of_file(fault.file))
-    assert reason.startswith(f"{verdicts.WRONG}{fault.file}"), reason
+    reason = failure_of(fault, next(each for each in VARIANTS if each.file == fault.file))
+    assert reason.startswith(f"{WRONG}{fault.file}"), reason
     assert fault.operation in reason
     assert "tolerance" in reason or "IndexError" in reason
 
@@ -103,83 +92,44 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
 @pytest.mark.parametrize(
     "built", [v for d in (1, 3) for v in all_variants(d) if v.dimension], ids=str
 )
-def test_faults_are_found_in_every_variant(monkeypatch, built):
+def test_faults_are_found_in_every_variant(empty, built):
     for fault in FAULTS:
-        if fault.file == built.file:
-            with monkeypatch.context() as patch:
-                assert _planted_failure(patch, fault, built), fault
+        assert fault.file != built.file or failure_of(fault, built), fault
 
 
 @pytest.mark.parametrize(("precise", "bounded"), [(False, 0), (True, 0), (True, 1), (True, 2)])
-def test_results_that_are_no_numbers_are_found(monkeypatch, precise, bounded):
+def test_results_that_are_no_numbers_are_found(empty, precise, bounded):
     """NaN is neither above nor below a tolerance; sums over near pairs must not pass with it."""
     fault = Fault("log_sum_exp.cl", "log_sum_exp", "VSTORE(m,", "VSTORE(m * NAN,", "softmin")
     variant = Variant("log_sum_exp.cl", 5, precise, True, bounded, masked=True)
-    assert "softmin" in _planted_failure(monkeypatch, fault, variant)
-
-
-def _planted_tree(folder, fault):
-    """Copy the package with a fault in one kernel."""
-    package = Path(clmorph.__file__).parent
-    ignored = shutil.ignore_patterns("__pycache__")
-    shutil.copytree(package, folder / "clmorph", symlinks=False, ignore=ignored)
-    kernels = folder / "clmorph" / "cl_kernels"
-    if not kernels.exists():
-        kernels.mkdir()
-        for entry in resources.files("clmorph.cl_kernels").iterdir():
-            if entry.name.endswith((".cl", ".py")):
-                (kernels / entry.name).write_text(entry.read_text())
-    file = kernels / fault.file
-    file.write_text(fault.plant(file.read_text()))
-
-
-#: The file and the operation that a reason names in place of a fault's own: `deposit`, which shows
-#: faults of particles.cl, uses the kernel `splat`, and it is compared first.
-FOUND_BEFORE = {"splat": ("particles.cl", "deposit")}
-USUAL_FILES = {variant.file for variant in usual_variants()}
-#: The first fault of each of these files. A process takes a quarter of a minute to build the files,
-#: and `test_a_planted_fault_is_found` has all faults.
-FIRST_FAULTS = {fault.file: fault for fault in FAULTS[::-1] if fault.file in USUAL_FILES}
-
-
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory):
-    """A folder for what PoCL compiles, by its source: a wrong kernel is compiled all the same."""
-    return tmp_path_factory.mktemp("compiled")
+    assert "softmin" in failure_of(fault, variant)
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("fault", FIRST_FAULTS.values(), ids=lambda fault: fault.kernel)
-def test_the_probe_refuses_a_device_with_a_wrong_kernel(tmp_path, compiled, fault):
+@pytest.mark.parametrize("fault", [FAULTS[0], FAULTS[-1]], ids=lambda fault: fault.kernel)
+def test_the_probe_refuses_a_device_with_a_wrong_kernel(empty, monkeypatch, fault):
     """A new process tries it, says why it is refused, and remembers."""
-    _planted_tree(tmp_path, fault)
-    index = TESTED[0].index
-    code = (
-        "import clmorph.backends.opencl.devices.find as f\n"
-        f"device = f.tried('{index}')\n"
-        "print(device.usable, device.computes_wrongly, device.reason)\n"
-        "f.tried.cache_clear(); f.run_probe = None\n"
-        f"try: f.choose_device('{index}')\n"
-        "except f.DeviceError as error: print(error)\n"
+    script, index = empty / "probe.py", TESTED[0].index
+    script.write_text(
+        f"import sys; sys.path.append({str(Path(planted.__file__).parent)!r})\n"
+        "import planted\n"
+        "from clmorph.backends.opencl import probe\n"
+        f"with planted.FAULTS[{FAULTS.index(fault)}].planted(): probe.main(*sys.argv[1:])\n"
     )
-    environment = dict(
-        os.environ, PYTHONPATH=str(tmp_path), XDG_CACHE_HOME=str(tmp_path / "c"),
-        POCL_CACHE_DIR=str(compiled),
-    )  # fmt: skip
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", code], capture_output=True, text=True, env=environment,
-        check=True,
-    )  # fmt: skip
-    first, second = done.stdout.splitlines()
-    file, operation = FOUND_BEFORE.get(fault.kernel, (fault.file, fault.operation))
-    assert first.startswith(f"False True {verdicts.WRONG}{file}"), first
-    assert operation in first
-    assert first.split(": ", 1)[1] in second
+    monkeypatch.setattr(
+        trial, "_command", lambda python, *more: [python, script, *filter(None, more)]
+    )
+    device = devices.tried(index)
+    assert device.reason.startswith(f"{WRONG}{fault.file}"), device.reason
+    assert fault.operation in device.reason
+    assert (device.usable, device.computes_wrongly) == (False, True)
+    monkeypatch.setattr(devices, "run_probe", None)  # nothing is tried again
+    devices.tried.cache_clear()
+    with pytest.raises(DeviceError, match=re.escape(device.reason)):
+        devices.choose_device(index)
 
 
 # --- quirks -----------------------------------------------------------------------------------
-
-VARIANTS = all_variants()
 
 
 def test_the_variants_are_of_every_file():
@@ -192,7 +142,7 @@ def test_the_variants_are_of_every_file():
 def test_every_variant_is_right(variant, built):
     if not built.suits(variant.constants):
         pytest.skip("there the host iterates")
-    assert verification.first_failure(variant, built) == ""
+    assert first_failure(variant, built) == ""
 
 
 ON_CARDS = "small_groups", "small_local_memory", "inexact_exp2"
@@ -217,66 +167,63 @@ def test_every_variant_is_right_with_each_quirk(device, quirk, of_card, built):
     ):
         pytest.skip("the quirk changes nothing of this program")
     forced = OpenCLOperations(device.device, constants, verify=False)
-    assert verification.first_failure(forced, built) == ""
+    assert first_failure(forced, built) == ""
 
 
 def test_where_loops_are_short_the_longest_stored_rows_are_right(device):
     constants = choose_constants(device.device, find_quirks(device.device) | {"short_loops"})
     forced = OpenCLOperations(device.device, constants, verify=False)
-    assert verification.first_failure(forced, Variant("sliced_ellpack.cl")) == ""
+    assert first_failure(forced, Variant("sliced_ellpack.cl")) == ""
 
 
 # --- verdicts on programs -------------------------------------------------------------------
 
 
 @pytest.fixture
-def empty(monkeypatch, tmp_path, fresh_search):
-    """An empty cache, and no knowledge in this process."""
-    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
 def requests(monkeypatch, empty):
     """The variants that processes were asked to verify; they find nothing wrong."""
     asked = []
-    handle = TESTED[0].handle
 
-    def probe(index, seconds=None, request=None):
+    def run_probe(index, request=None):
         constants, variants = read_request(request)
         asked.append(variants)
         for variant in variants:
-            verdicts.save_program_verdict(program_key(handle, variant, constants), "")
-        return {"usable": True, "reason": "", "pairs_per_second": 0.0, "lasting": True}
+            key = program_key(TESTED[0].handle, variant, constants)
+            verdicts.save_program_verdict(key, "")
+        return WORKS
 
-    monkeypatch.setattr(trial, "run_probe", probe)
+    monkeypatch.setattr(trial, "run_probe", run_probe)
     return asked
-
-
-def made(device, chosen=True):
-    return Programs(
-        device.context, device.device, device.constants, lambda variant: "checked here", chosen
-    )
-
-
-def checking(monkeypatch, folder, lines, body=""):
-    """Let a script stand for the process of a check: it prints lines, and then runs a body."""
-    script = folder / "check.py"
-    script.write_text(
-        f"import os, signal, time; print(*{tuple(lines)!r}, sep='\\n', flush=True); {body}"
-    )
-    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
-
-
-def forget_in_process():
-    verdicts._programs.clear()
-    verdicts._momentary.clear()
 
 
 @pytest.fixture
 def one():
     """Operations on the first tested device."""
     return OpenCLOperations(TESTED[0].handle)
+
+
+def made(device, chosen=True, **changes):
+    return Programs(
+        device.context, device.device, replace(device.constants, **changes),
+        lambda variant: "checked here", chosen,
+    )  # fmt: skip
+
+
+def key_of(device, variant=OTHER):
+    return program_key(device.device, variant, device.constants)
+
+
+def of_device(device):
+    return verdicts.load_verdict(verdicts.verdict_key(device.device))
+
+
+def checking(monkeypatch, folder, lines, body=""):
+    """Let a script stand for the process of a check: it prints lines, and then runs a body."""
+    script = folder / "check.py"
+    script.write_text(
+        f"import os, signal, sys, time\nprint(*{tuple(lines)!r}, sep='\\n', flush=True)\n{body}"
+    )
+    monkeypatch.setattr(trial, "_command", lambda python, *more: [python, script, str(more[1])])
 
 
 def test_a_program_is_verified_once(one, requests, empty):
@@ -290,7 +237,7 @@ def test_a_program_is_verified_once(one, requests, empty):
     for _ in range(2):
         for variant in (*usual_variants(), OTHER):
             made(one).verify(variant)
-        forget_in_process()
+        verdicts._programs.clear()  # as in a new process
     assert len(requests) == 2
     assert len(list((empty / "verified").iterdir())) == len(usual_variants()) + 1
 
@@ -302,7 +249,7 @@ def test_a_program_is_verified_once(one, requests, empty):
 )  # fmt: skip
 def test_a_damaged_verdict_is_none(one, requests, empty, damaged):
     made(one).verify(OTHER)
-    forget_in_process()
+    verdicts._programs.clear()
     (file,) = (empty / "verified").iterdir()
     file.write_text(damaged)
     made(one).verify(OTHER)
@@ -317,36 +264,26 @@ def test_without_a_cache_folder_the_process_remembers(one, requests, monkeypatch
     assert requests == [[OTHER]]
 
 
-def test_other_code_is_another_verdict(one, requests, monkeypatch):
-    made(one).verify(OTHER)
-    monkeypatch.setattr(verdicts, "code_identity", lambda: "0123456789abcdef")
-    made(one).verify(OTHER)
-    assert requests == [[OTHER], [OTHER]]
-
-
-def test_other_launches_are_another_verdict(one, requests):
+@pytest.mark.parametrize("change", ["code", "launches", "trying again"])
+def test_another_verdict_is_needed(one, requests, monkeypatch, change):
     """The length of launches is no macro, so that the binary is the same."""
-    short = replace(one.constants, longest_loop=7000)
     made(one).verify(OTHER)
-    Programs(one.context, one.device, short, lambda variant: "").verify(OTHER)
+    if change == "code":
+        monkeypatch.setattr(verdicts, "code_identity", lambda: "0123456789abcdef")
+    if change == "trying again":
+        devices.forget_verdicts()
+    made(one, **{"longest_loop": 7000} if change == "launches" else {}).verify(OTHER)
     assert requests == [[OTHER], [OTHER]]
-
-
-def test_trying_again_forgets_verdicts_on_programs(one, requests):
-    made(one).verify(OTHER)
-    devices.forget_verdicts()
-    made(one).verify(OTHER)
-    assert len(requests) == 2
 
 
 def test_a_wrong_program_makes_the_device_unusable(one, empty, monkeypatch):
-    device, key = TESTED[0], program_key(one.device, OTHER, one.constants)
-    reason = f"{verdicts.WRONG}{OTHER}: softmin is off by 1 nats (tolerance 0.1)"
-    verdicts.save_program_verdict(key, reason)
+    device = TESTED[0]
+    reason = f"{WRONG}{OTHER}: softmin is off by 1 nats (tolerance 0.1)"
+    verdicts.save_program_verdict(key_of(one), reason)
     # Constants that somebody tries say nothing of those that are chosen.
     with pytest.raises(DeviceError, match="softmin is off"):
         made(one, chosen=False).verify(OTHER)
-    assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
+    assert of_device(one) is None
     before = verdicts.refusals()
     with pytest.raises(DeviceError, match="softmin is off") as caught:
         made(one).verify(OTHER)
@@ -370,9 +307,7 @@ def test_a_wrong_program_makes_the_device_unusable(one, empty, monkeypatch):
      ("raise SystemExit(3)", "status 3", True)],
 )  # fmt: skip
 def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, words, lasting):
-    key = program_key(one.device, OTHER, one.constants)
-    lines = trial.LOADED, f"{trial.BEGUN} {key} {OTHER}"
-    checking(monkeypatch, empty, lines, body)
+    checking(monkeypatch, empty, [LOADED, f"{BEGUN} {key_of(one)} {OTHER}"], body)
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
     for _ in range(2):
         with pytest.raises(DeviceError, match=words) as caught:
@@ -380,38 +315,32 @@ def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, wor
         assert "\n" not in str(caught.value)
         monkeypatch.setattr(trial, "_run", None)  # this process asks no second time
     assert (empty / "verified").exists() == lasting
-    forget_in_process()
-    assert bool(verdicts.load_program_verdict(key)) == lasting
+    verdicts._programs.clear()
+    assert bool(verdicts.load_program_verdict(key_of(one))) == lasting
     # A check that ends without evidence refuses the program alone, and for this process alone.
-    condemned = verdicts.load_verdict(verdicts.verdict_key(one.device))
-    assert (condemned is not None) == lasting
-    assert not lasting or condemned["usable"] is False
+    assert (of_device(one) is not None) == lasting
+    assert not lasting or of_device(one)["usable"] is False
 
 
 @pytest.mark.parametrize("body", ["os.abort()", "time.sleep(60)"])
 def test_a_crash_or_a_hang_in_an_optional_program_costs_only_itself(one, empty, monkeypatch, body):
     """A trial is then repeated without the program, and the device is usable."""
     variant = Variant(OPTIONAL[0])
-    key = program_key(one.device, variant, one.constants)
-    lines = trial.LOADED, f"{trial.BEGUN} {key} {variant}"
-    verdict = {"usable": True, "reason": "", "pairs_per_second": 1.0, "lasting": True}
-    script = empty / "check.py"
-    script.write_text(
-        "import os, sys, time\n"
+    repeated = (
         f"if sys.argv[1] == {trial.WITHOUT + OPTIONAL[0]!r}:\n"
-        f"    print({trial.VERDICT + ' ' + json.dumps(verdict)!r}); raise SystemExit\n"
-        f"print(*{lines!r}, sep='\\n', flush=True); {body}\n"
+        f"    print({trial.VERDICT + ' ' + json.dumps(WORKS)!r}); raise SystemExit\n"
     )
-    monkeypatch.setattr(trial, "_command", lambda *more: [sys.executable, script, str(more[2])])
+    lines = LOADED, f"{BEGUN} {key_of(one, variant)} {variant}"
+    checking(monkeypatch, empty, [], f"{repeated}print(*{lines!r}, sep='\\n', flush=True); {body}")
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "5" if "sleep" in body else "60")
-    assert trial.run_probe(TESTED[0].index) == verdict
+    assert trial.run_probe(TESTED[0].index) == WORKS
     monkeypatch.setattr(trial, "_run", None)  # its verdict is known in this process
     with pytest.raises(ProgramError, match=r"half_steps\.cl"):
         made(one).verify(variant)
-    assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
+    assert of_device(one) is None
 
 
-def test_a_trial_without_an_optional_program(empty, monkeypatch):
+def test_a_trial_without_an_optional_program(one, empty, monkeypatch):
     """The others are checked, and a refused optional program is no reason against the device."""
     checked = []
 
@@ -420,11 +349,12 @@ def test_a_trial_without_an_optional_program(empty, monkeypatch):
         return ("refused", True) if variant.is_optional else ("", True)
 
     monkeypatch.setattr(probe, "_check", check)
-    monkeypatch.setattr(probe, "throughput", lambda *_: 1.0)
-    for request, there in ((None, True), (trial.WITHOUT + " ".join(OPTIONAL), False)):
+    monkeypatch.setattr(probe, "throughput", lambda *_, **__: 1.0)
+    suits = Variant(OPTIONAL[0]).suits(one.constants)
+    for request, there in ((None, suits), (trial.WITHOUT + " ".join(OPTIONAL), False)):
         checked.clear()
         assert probe.probe(TESTED[0].index, request)["usable"]
-        assert (OPTIONAL[0] in checked) == (there and one_suits())
+        assert (OPTIONAL[0] in checked) == there
         assert {"log_sum_exp.cl", "splat.cl"} <= set(checked)
 
 
@@ -445,59 +375,64 @@ def test_resources_that_are_in_use_are_told_from_a_fault(one, monkeypatch, busy)
     assert lasting is not busy
 
 
-def one_suits():
-    """Return whether the first tested device iterates at all."""
-    return Variant(OPTIONAL[0]).suits(OpenCLOperations(TESTED[0].handle).constants)
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="kills as POSIX does")
 @pytest.mark.parametrize("signal", ["SIGINT", "SIGKILL"])
 def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):
     """Ctrl-C reaches a check that a thread has started, too."""
-    key = program_key(one.device, OTHER, one.constants)
-    lines = trial.LOADED, f"{trial.BEGUN} {key} {OTHER}"
     default = "signal.signal(signal.SIGINT, signal.SIG_DFL)"
     with monkeypatch.context() as patch:
-        checking(patch, empty, lines, f"{default}; os.kill(os.getpid(), signal.{signal})")
+        checking(
+            patch, empty, [LOADED, f"{BEGUN} {key_of(one)} {OTHER}"],
+            f"{default}; os.kill(os.getpid(), signal.{signal})",
+        )  # fmt: skip
         with pytest.raises(DeviceError, match=r"was killed .*; try again"):
             made(one).verify(OTHER)
-    assert verdicts.load_program_verdict(key) is None
-    assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
+    assert verdicts.load_program_verdict(key_of(one)) is None
+    assert of_device(one) is None
     # On a busy machine a real check may take longer than the limit for users.
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "300")
     made(one).verify(OTHER)
 
 
-def test_control_c_on_windows_is_no_fault_of_the_driver():
-    done = subprocess.CompletedProcess([], 0xC000013A, f"{trial.LOADED}\n", "")
-    verdict = trial._judge(done)
-    assert (verdict["usable"], verdict["lasting"]) == (False, False)
-    assert "killed" in verdict["reason"]
+@pytest.mark.parametrize(
+    ("status", "lines", "words", "lasting"),
+    [
+        (0xC000013A, [LOADED], "was killed (status 0xc000013a)", False),  # Ctrl-C on Windows
+        (-11, [], "its driver crashed (signal 11) on a kernel", True),
+        (1, [LOADED, f"{BEGUN} k x.cl"], "its driver crashed (status 1) on x.cl: why", True),
+        (1, [], "its probe ended with status 1: why", False),
+        (None, [], "did not build and verify the kernels within 60 s", False),
+    ],
+)
+def test_how_a_probe_ends_is_told(empty, status, lines, words, lasting):
+    verdict, _ = trial._judge(Ended(status, lines, ["", "why", " "]))
+    assert (verdict["usable"], verdict["lasting"]) == (False, lasting)
+    assert words in verdict["reason"]
 
 
 def test_a_refused_build_is_of_one_program_only(one, empty, monkeypatch):
     """A compiler that refuses points of another dimension does not make other morphs impossible."""
-    key = program_key(one.device, OTHER, one.constants)
     reason = f"{OTHER}: a device cannot build {OTHER.file}: 71:2: error: too long"
-    lines = [trial.LOADED, f"{trial.BEGUN} {key} {OTHER}", f"{trial.ENDED} {json.dumps(reason)}"]
-    lines.append(f"{trial.VERDICT} {json.dumps(probe._failure(reason, lasting=True))}")
+    lines = [
+        LOADED, f"{BEGUN} {key_of(one)} {OTHER}", f"{ENDED} {json.dumps(reason)}",
+        f"{trial.VERDICT} {json.dumps(probe._failure(reason, lasting=True))}",
+    ]  # fmt: skip
     with monkeypatch.context() as patch:
         checking(patch, empty, lines)
         for _ in range(2):
             with pytest.raises(DeviceError, match=r"cannot run this: .*dimension 3") as caught:
                 made(one).verify(OTHER)
             assert "\n" not in str(caught.value)
-            forget_in_process()
-    assert verdicts.load_program_verdict(key) == reason
-    assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
+            verdicts._programs.clear()
+    assert verdicts.load_program_verdict(key_of(one)).reason == reason
+    assert of_device(one) is None
     made(one).verify(Variant("log_sum_exp.cl", 4, precise=True))
 
 
 def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
-    keys = [program_key(one.device, variant, one.constants) for variant in (PLAIN, OTHER)]
     lines = [
-        trial.LOADED, f"{trial.BEGUN} {keys[0]} {PLAIN}", trial.ENDED + ' ""',
-        f"{trial.BEGUN} {keys[1]} {OTHER}",
+        LOADED, f"{BEGUN} {key_of(one, PLAIN)} {PLAIN}", ENDED + ' ""',
+        f"{BEGUN} {key_of(one)} {OTHER}",
     ]  # fmt: skip
     checking(monkeypatch, empty, lines, "os.abort()")
     made(one).verify(PLAIN)
@@ -505,12 +440,13 @@ def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
         made(one).verify(OTHER)
 
 
-@pytest.mark.parametrize("reason", ["", f"{verdicts.WRONG}x: größer \u2028 als 1"])
-def test_text_that_a_driver_prints_hides_nothing(empty, tmp_path, reason):
+@pytest.mark.parametrize("reason", ["", f"{WRONG}x: größer \u2028 als 1"])
+def test_text_that_a_driver_prints_hides_nothing(one, empty, monkeypatch, reason):
     """Not even without an end of its line, and where the locale has ASCII only."""
-    script = tmp_path / "check.py"
-    script.write_text(
-        "import atexit, os, sys\n"
+    checking(
+        monkeypatch, empty, [],
+        "import atexit\n"
+        "sys.stdout.reconfigure(encoding='ascii')\n"
         "from clmorph.backends.opencl import probe\n"
         "os.write(1, b'driver 1.0')\n"
         "atexit.register(lambda: os.write(1, b'driver out'))\n"
@@ -518,20 +454,12 @@ def test_text_that_a_driver_prints_hides_nothing(empty, tmp_path, reason):
         "    os.write(1, b'building...')\n"
         f"    return {reason!r}\n"
         "probe.first_failure = failure\n"
-        f"probe.main({TESTED[0].index!r}, sys.argv[1])\n"
-    )
-    device = OpenCLOperations(TESTED[0].handle)
-    request = programs.make_request(device.constants, [OTHER])
-    command = [sys.executable, str(script), request]
-    done = subprocess.run(
-        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
-        env=dict(trial._environment(), PYTHONIOENCODING="ascii"),
+        f"probe.main({TESTED[0].index!r}, sys.argv[1])\n",
     )  # fmt: skip
-    verdict = trial._judge(done)
+    request = programs.make_request(one.constants, [OTHER])
+    verdict = trial.run_probe(TESTED[0].index, request)
     assert (verdict["usable"], verdict["reason"]) == (not reason, reason)
-    assert verdicts.load_program_verdict(program_key(device.device, OTHER, device.constants)) == (
-        reason
-    )
+    assert verdicts.load_program_verdict(key_of(one)).reason == reason
 
 
 @pytest.mark.parametrize(
@@ -547,41 +475,34 @@ def test_where_no_process_can_be_started_programs_are_checked_here(
     assert requests == []
 
 
-def test_no_process_that_verifies_starts_another(one, monkeypatch):
+def test_no_process_that_verifies_starts_another(one, empty, monkeypatch):
     monkeypatch.setattr(trial, "run_probe", None)
-    forget_in_process()
-    operations = OpenCLOperations(one.device, verify=False)
-    assert verification.first_failure(operations, OTHER) == ""
+    assert first_failure(OpenCLOperations(one.device, verify=False), OTHER) == ""
 
 
 def test_a_part_of_a_device_is_verified_on_the_whole(one, requests):
     equally = cl.device_partition_property.EQUALLY
     if equally not in one.device.partition_properties:
         pytest.skip("the device has no parts")
-    parts = one.device.create_sub_devices([equally, 1])
-    assert devices.index_of(parts[0]) == TESTED[0].index
-    context = cl.Context([parts[0]])
-    part = Programs(context, parts[0], one.constants, lambda variant: "checked here")
+    part = one.device.create_sub_devices([equally, 1])[0]
+    assert devices.index_of(part) == TESTED[0].index
     made(one).verify(OTHER)
-    part.verify(OTHER)
+    Programs(cl.Context([part]), part, one.constants, lambda variant: "checked here").verify(OTHER)
     assert requests == [[OTHER]]
 
 
 def test_a_program_is_verified_in_a_real_process(one, empty):
     """Its binary then lies in the cache, and is the one that is used."""
-    variant = Variant("plan_rows.cl", 4, precise=True)
-    kernels = made(one).kernels(variant)
+    kernels = made(one).kernels(Variant("plan_rows.cl", 4, precise=True))
     assert set(kernels) == set(KERNELS["plan_rows.cl"])
     assert len(list((empty / "verified").iterdir())) == 1
 
 
 def test_programs_of_a_morph_are_verified_together(one, requests):
-    operations = OpenCLOperations(one.device)
     y, x = np.mgrid[:40, :40] / 40
     pictures = np.stack([x, y, x * y], axis=-1), np.stack([y, 1 - x, np.cos(x * y)], axis=-1)
-    morph(*pictures, n_frames=2, backend=operations)
-    assert len(requests) == 1
-    assert set(requests[0]) == set(usual_variants())
+    morph(*pictures, n_frames=2, backend=OpenCLOperations(one.device))
+    assert [set(request) for request in requests] == [set(usual_variants())]
 
 
 def test_further_programs_are_verified_together(one, requests):

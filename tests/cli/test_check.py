@@ -34,6 +34,7 @@ from clmorph.backends.opencl.devices.install_hints import (
 )
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
 from clmorph.backends.opencl.verification.findings import Finding
+from clmorph.backends.opencl.verification.table import TABLE
 from clmorph.cli import conformance
 from clmorph.cli.conformance import check
 from clmorph.cli.main import main
@@ -192,10 +193,8 @@ def test_an_unknown_kernel_is_told(capfd):
 
 def test_every_kernel_has_a_comparison():
     """One of its own, beside the morph, which uses all."""
-    checks = [kernels for kernels, _ in conformance._checks(NumPyOperations())]
-    assert checks.count(conformance._EVERY) == 1
-    compared = {kernel for kernels in checks if kernels != conformance._EVERY for kernel in kernels}
-    assert compared == set(conformance._EVERY)
+    assert {kernel for row in TABLE for kernel in row.kernels} == conformance.wanted_kernels([])
+    assert {row.file for row in TABLE} == set(KERNELS)
 
 
 @pytest.mark.needs_device
@@ -210,33 +209,24 @@ def test_a_report_has_what_the_table_shows(faked, tmp_path, capfd):
 
 
 @pytest.mark.needs_device
-def test_a_failing_driver_is_told_in_one_line(monkeypatch, capfd):
-    def fail(operations, kernels):
-        raise RuntimeError("out of\nresources")
-        yield
-
-    monkeypatch.setattr("clmorph.cli.conformance.check", fail)
-    assert main(["check", "--device", TESTED[0].index]) == 2
-    err = capfd.readouterr().err
-    assert err.count("\n") == 1
-    assert "out of resources" in err
-
-
-@pytest.mark.needs_device
 @pytest.mark.parametrize("error", [RuntimeError("no\nresources"), DeviceError("no resources")])
-def test_what_was_found_before_a_failure_is_printed_and_remembered(
-    faked, monkeypatch, capfd, error
-):
+@pytest.mark.parametrize("found", [True, False])
+def test_a_failing_driver_is_told_in_one_line(faked, monkeypatch, capfd, error, found):
+    """What was found before is printed and remembered."""
+
     def find(operations, kernels):
-        yield from faked
+        yield from faked if found else ()
         raise error
 
     monkeypatch.setattr("clmorph.cli.conformance.check", find)
     index = TESTED[0].index
     assert main(["check", "--device", index]) == 2
     printed = capfd.readouterr()
+    assert "no resources" in printed.err.splitlines()[-1]
+    if not found:
+        assert printed.err.count("\n") == 1
+        return
     assert "FAIL" in printed.out
-    assert "no resources" in printed.err
     assert "splat, sigma 5" in next(d for d in found_anew() if d.index == index).reason
 
 

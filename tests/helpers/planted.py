@@ -1,6 +1,10 @@
 """A wrong version of each kernel."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
+
+from clmorph.backends.opencl.build import program
 
 
 class Fault(NamedTuple):
@@ -13,12 +17,26 @@ class Fault(NamedTuple):
     operation: str
 
     def plant(self, text: str) -> str:
-        """Return the text of the file, its includes expanded or not, with the fault."""
+        """Return the text of the file with the fault."""
         begin = text.index(f"{self.kernel}(", text.index("__kernel"))
         end = text.find("__kernel", begin)
         body = text[begin : end if end > 0 else None]
         assert self.right in body, self
         return text[:begin] + body.replace(self.right, self.wrong, 1) + text[begin + len(body) :]
+
+    @contextmanager
+    def planted(self) -> Iterator[None]:
+        """Let this process build the kernel with the fault."""
+        right = program.source
+
+        def source(name: str) -> str:
+            return self.plant(right(name)) if name == self.file else right(name)
+
+        program.source = source
+        try:
+            yield
+        finally:
+            program.source = right
 
 
 FAULTS = [
