@@ -105,7 +105,8 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, words
     monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
     # Only what sleeps runs out of time; the others may start late on a busy machine.
-    verdict = trial.run_probe("0:0", seconds=1 if "sleep" in body else 60)
+    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
+    verdict = trial.run_probe("0:0")
     assert not verdict["usable"]
     assert words in verdict["reason"]
     verdicts.save_verdict("key", verdict)
@@ -129,7 +130,8 @@ def test_a_child_of_the_probe_does_not_hold_its_trial_up(monkeypatch, tmp_path, 
     )
     monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
     began = time.monotonic()
-    verdict = trial.run_probe("0:0", seconds=1 if "sleep" in body else 60)
+    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
+    verdict = trial.run_probe("0:0")
     taken = time.monotonic() - began
     os.kill(int((tmp_path / "pid").read_text()), 9)
     assert words in verdict["reason"]
@@ -156,10 +158,7 @@ def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path, fresh_sea
 
 
 def test_a_trial_without_time_says_what_to_do(monkeypatch):
-    def late(command, seconds, reading):
-        raise subprocess.TimeoutExpired(command, seconds)
-
-    monkeypatch.setattr(trial, "_run", late)
+    monkeypatch.setattr(trial, "_run", lambda *_: trial.Ended(None, []))
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "7.5")
     reason = trial.run_probe("0:0")["reason"]
     for words in ("within 7.5 s", "tried again", "CLMORPH_PROBE_SECONDS"):
@@ -299,7 +298,7 @@ def test_what_is_no_file_is_none(asked, tmp_path, kind):
         (tmp_path / "devices").rmdir()
         (tmp_path / "devices").write_text("")
     assert found_anew() == first
-    devices.forget_all()
+    verdicts.forget()
 
 
 @pytest.mark.needs_device
@@ -320,7 +319,7 @@ def test_writers_at_once_keep_each_others_verdicts(monkeypatch, tmp_path):
     assert other.wait() == 0
     found = {path.stem for path in (tmp_path.parent / "clmorph" / "devices").iterdir()}
     assert found == {f"{number:02}" for number in range(128)}
-    devices.forget_all()
+    verdicts.forget()
 
 
 @pytest.fixture
@@ -356,7 +355,7 @@ def test_without_a_cache_folder_there_is_a_private_one(no_cache, monkeypatch):
     assert storage.cache_folder() is None
     assert storage.read_cached("devices/key.json") == b""
     verdicts.save_verdict("other", WORKS)
-    devices.forget_all()
+    verdicts.forget()
 
 
 def test_a_relative_cache_folder_is_ignored(monkeypatch, tmp_path):
