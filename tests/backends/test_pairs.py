@@ -1,20 +1,17 @@
 """Iterations of devices without float64, whose numbers are pairs of float32."""
 
-import functools
-
 import numpy as np
 import pyopencl as cl
 import pytest
 
 import clmorph
-from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import apply_quirks
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.resident_iteration import as_pairs, of_pairs
-from clmorph.backends.verification.clouds import few_rows, several_tiles
-from clmorph.backends.verification.iterations import check_iteration
+from clmorph.backends.opencl.verification.bench import Bench
+from clmorph.backends.opencl.verification.iterations import iterate
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.steps import DeviceSteps, new_steps
 
@@ -77,9 +74,8 @@ def test_functions_of_pairs(without_float64, rng):
 )
 @pytest.mark.parametrize("balanced", range(4))
 def test_iterations_in_pairs(without_float64, balanced, stored):
-    for make in (several_tiles, functools.partial(few_rows, columns=700)):
-        case = make(without_float64, NumPyOperations(), 3)
-        findings = list(check_iteration(case, balanced, stored))
+    for case in Bench(without_float64).clouds(3, columns=700):
+        findings = list(iterate(case, balanced, stored))
         assert findings
         for finding in findings:
             assert finding.passed, str(finding)

@@ -15,7 +15,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.quirks import find_quirks
 from clmorph.backends.opencl.devices.verdicts import (
     SLOW_FLOAT64,
-    forget_verdict,
+    forget,
     save_verdict,
     verdict_key,
 )
@@ -193,7 +193,7 @@ def test_slow_float64_is_remembered(device, monkeypatch, tmp_path):
     constants = choose_constants(device.device)
     assert (constants.precise, constants.float64) == (1, 1)
     assert Variant("half_steps.cl").suits(constants) == (not constants.longest_loop)
-    forget_verdict(key)
+    forget(key)
     assert choose_constants(device.device).precise == 2
 
 
