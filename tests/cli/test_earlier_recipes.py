@@ -34,6 +34,9 @@ def former(request, tmp_path, monkeypatch, rng):
     return request.param
 
 
+@pytest.mark.parametrize(
+    "former", ["shapes", pytest.param("carried", marks=pytest.mark.full)], indirect=True
+)
 def test_they_make_films(former, capfd):
     given = ["a.png", "b.png", "--config", "r.json", "--backend", "numpy"]
     assert main(["morph", *given, "-o", "out.gif", "--recipe", "--json"]) == 0

@@ -227,7 +227,9 @@ def test_mistakes_leave_an_old_output(tmp_path, palette, monkeypatch, capsys, fe
     assert "belongs to a clip" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.full)]
+)
 def test_a_run_that_is_ended_leaves_an_old_output(tmp_path, number):
     ffmpeg("-f", "lavfi", "-i", "testsrc2=s=320x180:r=25:d=20", *TAGS, *QUICK, tmp_path / "in.mp4")
     clmorph.write_lut(tmp_path / "gray.cube", clmorph.Lut(np.full((2, 2, 2, 3), 0.5)))

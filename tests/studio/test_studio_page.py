@@ -107,6 +107,7 @@ def test_the_command_is_that_of_a_run_whose_result_comes_before_its_answer(opene
     assert same_by(page, "command", place / "late", own, "morph.gif") == fetched(page, "gif")
 
 
+@pytest.mark.full
 def test_pictures_of_one_name_keep_apart(opened, pictures, place):
     """The command needs names that differ, those of painted regions included."""
     (place / "other").mkdir()

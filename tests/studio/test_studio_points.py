@@ -91,6 +91,7 @@ def test_found_points_are_shown_moved_removed_and_found_again(opened, portraits,
     assert page.input_value("#command").endswith("--landmark none")
 
 
+@pytest.mark.full
 def test_points_are_set_in_single_pixels_of_an_enlarged_picture(opened, place):
     """A face of 40 pixels in 1200 is as wide as the column of the pictures, or wider."""
     wide = np.random.default_rng(2).integers(0, 255, (900, 1200, 3), np.uint8)
@@ -173,6 +174,7 @@ def test_undo_takes_settings_and_points_back(opened, pictures):
     assert page.is_enabled("#undo") is False
 
 
+@pytest.mark.full
 def test_what_the_page_says_of_presets_animations_and_sliders(opened, pictures, place):
     page = opened()
     # Before there are pictures, sliders stand at the defaults.
@@ -188,6 +190,7 @@ def test_what_the_page_says_of_presets_animations_and_sliders(opened, pictures, 
     assert page.inner_text("#preset-help").startswith("The pictures choose ")
 
 
+@pytest.mark.full
 def test_pictures_that_are_chosen_while_the_page_loads(browser, port, pictures):
     context = browser.new_context()
     page = context.new_page()
@@ -200,6 +203,7 @@ def test_pictures_that_are_chosen_while_the_page_loads(browser, port, pictures):
     context.close()
 
 
+@pytest.mark.full
 def test_a_still_is_the_frame_that_the_film_shows(opened, pictures):
     page = opened()
     take(page, pictures)
