@@ -28,9 +28,8 @@ from clmorph.backends.opencl.devices.trial import (
     FURTHER,
     LOADED,
     VERDICT,
-    WITHOUT,
 )
-from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, SLOW_FLOAT64, condemns
+from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, SLOW_FLOAT64
 from clmorph.backends.opencl.verification.findings import words_of
 from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.errors import ClmorphError
@@ -55,15 +54,14 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
     if index not in found:
         return _failure("its probe did not find it", lasting=False)
     device, speed, eighths = found[index], 0.0, 0
-    skipped = request.split() if request and request.startswith(WITHOUT) else []
-    whole = request is None or bool(skipped)
+    whole = request is None
     try:
         if whole or request == FURTHER:
             # A tuned build is no reason to refuse the device; it is verified when it is used.
             constants = _with_faster_exponents(device)
             variants = [
                 variant for variant in (usual_variants() if whole else further_variants())
-                if variant.suits(constants) and variant.file not in skipped
+                if variant.suits(constants)
             ]  # fmt: skip
         else:
             constants, variants = read_request(str(request))
@@ -73,8 +71,6 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
             print(f"\n{BEGUN} {program_key(device, variant, constants)} {variant}", flush=True)
             reason, lasting = _check(operations, variant)
             print(f"\n{ENDED} {json.dumps(reason if lasting else None)}", flush=True)
-            if whole and variant.is_optional and not condemns(reason, True):
-                continue
             if reason:
                 failure = failure or _failure(reason, lasting)
                 # Of the programs of a request each gets a verdict.

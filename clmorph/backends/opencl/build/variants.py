@@ -84,7 +84,6 @@ def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
     return (
         Variant("log_sum_exp.cl", dimension),
         Variant("log_sum_exp.cl", dimension, precise=True, bounded=1),
-        Variant("half_steps.cl"),
         Variant("plan_rows.cl", dimension),
         Variant("plan_shares.cl", dimension),
         Variant("particles.cl"),
@@ -95,7 +94,10 @@ def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
 
 
 def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
-    """Return the variants that photographs and drawings use beside the usual ones."""
+    """Return the variants that photographs and drawings use beside the usual ones.
+
+    Optional ones come last: a crash in one leaves the others verified.
+    """
     return (
         Variant("tile_levels.cl"),
         Variant("near_field.cl", dimension, listed=True),
@@ -105,7 +107,7 @@ def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
         Variant("plan_shares.cl", dimension, listed=True, masked=True),
         Variant("plan_rows.cl", dimension, listed=True),
         Variant("sliced_ellpack.cl"),
-        Variant("sparse_half_steps.cl"),
+        *map(Variant, OPTIONAL),
     )
 
 
@@ -130,7 +132,12 @@ def all_variants(dimension: int = 5) -> tuple[Variant, ...]:
 
 
 def used_together(variant: Variant) -> tuple[Variant, ...]:
-    """Return the variants that one morph uses, with this one among them; else this one alone."""
+    """Return the variants that one morph uses, with this one among them; else this one alone.
+
+    Iterations need none of the others.
+    """
+    if variant.is_optional:
+        return (variant,)
     dimension = variant.dimension or 5
     groups = usual_variants(dimension), further_variants(dimension)
     return next((group for group in groups if variant in group), (variant,))

@@ -13,6 +13,7 @@ from clmorph.backends.opencl.devices.process import Once
 from clmorph.backends.opencl.devices.runtimes import list_platforms
 from clmorph.backends.opencl.devices.trial import FURTHER, probe_seconds, run_probe
 from clmorph.backends.opencl.devices.verdicts import (
+    WRONG,
     driver_identity,
     forget,
     load_verdict,
@@ -65,7 +66,9 @@ def tried(index: str) -> Device:
         with ThreadPoolExecutor(1) as pool:
             further = pool.submit(run_probe, index, request=FURTHER)
             verdict = run_probe(index)
-            further.result()
+            beside = further.result()
+        if verdict["usable"] and beside["reason"].startswith(WRONG):
+            verdict = beside
         save_verdict(key, verdict)
     return describe(index, handle, verdict)
 

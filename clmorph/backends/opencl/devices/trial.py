@@ -31,8 +31,6 @@ BEGUN, ENDED = "clmorph.program.begun", "clmorph.program.ended"
 VERDICT = "clmorph.verdict"
 #: The request to verify the programs that most morphs use beside those of a trial.
 FURTHER = "further"
-#: What the request of a trial without some optional files begins with.
-WITHOUT = "without "
 #: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
 _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
 #: Status of a process that Ctrl-C ended on Windows.
@@ -64,37 +62,24 @@ def run_probe(index: str, request: str | None = None) -> dict[str, Any]:
 
     `request` names the programs to verify (`programs.make_request`, or `FURTHER`); by default they
     are those that most morphs use, and the speed is measured. Each may take `probe_seconds`. The
-    verdicts on the programs that were checked are saved, even if the process then fails. A trial
-    that ends in an optional program is repeated without it.
+    verdicts on the programs that were checked are saved, even if the process then fails.
 
     The result has the entries usable (bool), reason (str), pairs_per_second (float), lasting
     (bool), which states whether another probe would return the same verdict, and if it ran out of
     time, timed_out (True).
     """
-    skipped: list[str] = []
-    while True:
-        verdict, under_check = _probe_once(
-            index, WITHOUT + " ".join(skipped) if skipped else request
-        )
-        if request is not None or under_check not in OPTIONAL or under_check in skipped:
-            return verdict
-        skipped.append(under_check)
-
-
-def _probe_once(index: str, request: str | None) -> tuple[dict[str, Any], str]:
-    """Return a verdict, and the program whose check did not end."""
     seconds, python = probe_seconds(), _interpreter()
     if python is None:
         return _failed(
             f"cannot be tried, because {sys.executable or 'an empty sys.executable'!r} is no "
             "Python interpreter: name one with multiprocessing.set_executable"
-        ), ""
+        )
     # The probe ends when this pipe is closed, which happens however this process ends.
     reading, writing = os.pipe()
     try:
         ended = _run(_command(python, index, request), seconds, reading)
     except OSError as error:
-        return _failed(f"cannot be tried ({python}: {error.strerror})"), ""
+        return _failed(f"cannot be tried ({python}: {error.strerror})")
     finally:
         os.close(reading)
         os.close(writing)
@@ -159,14 +144,14 @@ def _failed(reason: str, lasting: bool = False) -> dict[str, Any]:
     return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": lasting}
 
 
-def _judge(ended: Ended, seconds: float = PROBE_SECONDS) -> tuple[dict[str, Any], str]:
-    """Return the verdict of a probe that has ended, and the program whose check did not end."""
+def _judge(ended: Ended, seconds: float) -> dict[str, Any]:
+    """Return the verdict of a probe that has ended."""
     status, lines = ended.status, ended.lines
     key, name = _keep_program_verdicts(lines)
     words = [line.partition(" ") for line in lines]
     if status == 0 and (found := [rest for word, _, rest in words if word == VERDICT]):
         with contextlib.suppress(ValueError, TypeError):
-            return dict(json.loads(found[-1])), name
+            return dict(json.loads(found[-1]))
     noise = next((line.strip() for line in ended.errors[::-1] if line.strip()), "no output")
     crashed = f"{CRASHED} ({{}} {abs(status or 0)}) on {name or 'a kernel'}"
     lasting, outside = True, [getattr(signal, each, None) for each in _FROM_OUTSIDE]
@@ -190,7 +175,7 @@ def _judge(ended: Ended, seconds: float = PROBE_SECONDS) -> tuple[dict[str, Any]
     if key and (lasting or (status is None and name in OPTIONAL)):
         save_program_verdict(key, reason, lasting)
     verdict = _failed(reason, lasting)
-    return (verdict | {"timed_out": True} if status is None else verdict), name
+    return verdict | {"timed_out": True} if status is None else verdict
 
 
 def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
