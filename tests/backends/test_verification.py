@@ -137,7 +137,7 @@ def test_the_variants_are_of_every_file():
     assert set(usual_variants() + further_variants()) <= set(VARIANTS)
 
 
-@pytest.mark.small
+@pytest.mark.in_turns
 @pytest.mark.parametrize("built", VARIANTS, ids=str)
 def test_every_variant_is_right(variant, built):
     if not built.suits(variant.constants):
