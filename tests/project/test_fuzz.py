@@ -1,6 +1,5 @@
 """Run a small part of ``tools/fuzz.py``, and check that it detects the faults it looks for."""
 
-import importlib
 import shutil
 import subprocess
 import sys
@@ -70,11 +69,3 @@ def test_what_gives_way_is_told(tmp_path):
     assert (kept / "images-0-1").read_bytes() == b"\1"
     again = fuzz("images", "--only", "1", tools=tmp_path)
     assert (again.returncode, again.stdout.splitlines()[-1]) == (1, "a finding")
-
-
-@pytest.mark.parametrize("arguments", [["pictures"], ["images", "--count", "0"], []])
-def test_mistakes_in_the_command_line(arguments, monkeypatch, capsys):
-    monkeypatch.syspath_prepend(TOOLS)
-    with pytest.raises(SystemExit) as ended:
-        importlib.import_module("fuzz").main(arguments)
-    assert ended.value.code == 2

@@ -1,6 +1,5 @@
 """Run a small part of ``tools/faults.py`` and of ``tools/soak.py``."""
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -55,19 +54,3 @@ def test_morphs_in_threads_are_those_in_a_row(capsys):
     device = TESTED[0].index
     given = ["--morphs", "20", "--sets", "5", "--threads", "4", "--processes", "0"]
     assert soak.main([*given, "--device", device]) == 0, capsys.readouterr().out
-
-
-def test_an_empty_line_is_one_too_many(tmp_path):
-    """Only what an undisturbed run says as well is left out."""
-    import disturbed_runs
-    import faults
-
-    runs = faults.Runs("numpy", faults.Findings([]))
-    runs.references["gif"] = disturbed_runs.Reference(
-        1.0, "", frozenset({"memory: about 0 MB", ""})
-    )
-    (tmp_path / "tmp").mkdir()
-    (tmp_path / "tmp" / "errors").write_text("memory: about 451 MB\n\nclmorph: interrupted\n")
-    with subprocess.Popen([sys.executable, "-c", ""], start_new_session=True) as process:
-        ended = runs.end(process, tmp_path, "gif")
-    assert ended.lines == ["", "clmorph: interrupted"]
