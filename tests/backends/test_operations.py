@@ -1,4 +1,4 @@
-"""Each operation on each device against its NumPy twin."""
+"""Each operation on each device against its NumPy version."""
 
 import inspect
 

@@ -1,6 +1,6 @@
 """Test the names at the top of the package, and that there are no circular imports.
 
-``lint-imports`` checks the walls between the rooms; `pyproject.toml` says what they are.
+``lint-imports`` checks the imports between packages; `pyproject.toml` says which are allowed.
 """
 
 import tomllib
