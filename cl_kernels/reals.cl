@@ -74,41 +74,51 @@ typedef CONCAT(double, LANES) reals;
 #if LANES != 1
 #error "LANES must be 1 for pairs of float32"
 #endif
-typedef float2 real; // the number, rounded, and what this rounds off
-typedef float2 reals;
-#define REAL(x) ((float2)((float)(x), 0.0f))
+typedef struct { float x, y; } real; // the number, rounded, and what this rounds off: no vector, whose + is another
+typedef real reals;
+#define REAL(x) (r_pair((float)(x), 0.0f))
 #define REALS(x) REAL(x)
 #define SPREAD(x) (x)
 #define TO_REALS(v) REAL(v)
 #define TO_VSINGLE(v) ((v).x + (v).y)
 #define TO_SINGLE(x) TO_VSINGLE(x)
-#define OF_BITS(low, high) ((float2)(as_float(low), as_float(high)))
-#define NEGATIVE(a) (-(a))
+#define OF_BITS(low, high) (r_pair(as_float(low), as_float(high)))
+#define NEGATIVE(a) r_negative(a)
 #define SIZE(a) r_absolute(a)
 #define LARGER(a, b) r_larger(a, b)
 #define SMALLER(a, b) r_smaller(a, b)
 #define EXP(x) r_power_of_e(x, false)
 #define EXPM1(x) r_power_of_e(x, true)
-#define EXP2(x) EXP(TIMES(x, (float2)(0.69314718f, -1.9046542e-9f)))
+#define EXP2(x) EXP(TIMES(x, r_pair(0.69314718f, -1.9046542e-9f)))
 #define LOG(x) r_logarithm(x)
-#define LOG2(x) TIMES(LOG(x), (float2)(1.442695f, 1.925963e-8f))
+#define LOG2(x) TIMES(LOG(x), r_pair(1.442695f, 1.925963e-8f))
 #define ROOT(x) r_root(x)
 #define PLUS(a, b) r_sum_of(a, b)
-#define MINUS(a, b) r_sum_of(a, -(b))
+#define MINUS(a, b) r_sum_of(a, r_negative(b))
 #define TIMES(a, b) r_product(a, b)
 #define OVER(a, b) r_quotient(a, b)
 #define BELOW(x, y, a, b) (IS_BELOW(x, y) ? (a) : (b))
 #define IS_BELOW(one, other) r_is_below(one, other)
 #define LEAST_REAL REAL(FLT_MIN)
-#define ONE_AND(tiny_trillionths) ((float2)(1.0f, 1e-12f * (float)(tiny_trillionths)))
+#define ONE_AND(tiny_trillionths) (r_pair(1.0f, 1e-12f * (float)(tiny_trillionths)))
 
 // Compilers would take minutes for as many copies of a longer function as there are calls.
 #define FUNCTION static __attribute__((noinline))
 
+INLINE real r_pair(const float high, const float low)
+{
+    real pair;
+    pair.x = high;
+    pair.y = low;
+    return pair;
+}
+
+INLINE real r_negative(const real a) { return r_pair(-a.x, -a.y); }
+
 INLINE real r_exact_sum(const float a, const float b)
 {
     const float sum = a + b, of_b = sum - a;
-    return (real)(sum, (a - (sum - of_b)) + (b - of_b));
+    return r_pair(sum, (a - (sum - of_b)) + (b - of_b));
 }
 
 INLINE real r_sum_of(const real a, const real b)
@@ -137,7 +147,7 @@ INLINE bool r_is_below(const real a, const real b)
 
 INLINE real r_larger(const real a, const real b) { return r_is_below(a, b) ? b : a; }
 INLINE real r_smaller(const real a, const real b) { return r_is_below(b, a) ? b : a; }
-INLINE real r_absolute(const real a) { return a.x < 0.0f ? -a : a; }
+INLINE real r_absolute(const real a) { return a.x < 0.0f ? r_negative(a) : a; }
 
 INLINE real r_root(const real x)
 {
@@ -153,18 +163,18 @@ FUNCTION real r_power_of_e(const real given, const bool less_one)
     const real x = r_larger(given, REAL(-87));
     const float n = rint(1.442695f * x.x);
     real r = PLUS(x, REAL(-0.69314575f * n)); // of 16 bits, so that the product is exact
-    r = MINUS(r, TIMES(REAL(n), (real)(1.4286068e-6f, 5.497923e-14f)));
-    r = (real)(0.0625f * r.x, 0.0625f * r.y);
+    r = MINUS(r, TIMES(REAL(n), r_pair(1.4286068e-6f, 5.497923e-14f)));
+    r = r_pair(0.0625f * r.x, 0.0625f * r.y);
     real p = REAL((1.984127e-4f * r.x + 1.3888889e-3f) * r.x + 8.333333e-3f);
-    p = PLUS(TIMES(p, r), (real)(0.041666668f, -1.2417635e-9f));
-    p = PLUS(TIMES(p, r), (real)(0.16666667f, -4.967054e-9f));
+    p = PLUS(TIMES(p, r), r_pair(0.041666668f, -1.2417635e-9f));
+    p = PLUS(TIMES(p, r), r_pair(0.16666667f, -4.967054e-9f));
     p = PLUS(TIMES(p, r), REAL(0.5f));
     p = PLUS(TIMES(p, r), REAL(1));
     p = TIMES(p, r);
     for (int k = 0; k < 4; ++k)
-        p = PLUS((real)(2.0f * p.x, 2.0f * p.y), TIMES(p, p));
+        p = PLUS(r_pair(2.0f * p.x, 2.0f * p.y), TIMES(p, p));
     const float scale = as_float(((int)n + 127) << 23);
-    const real less = (real)(scale * p.x, scale * p.y);
+    const real less = r_pair(scale * p.x, scale * p.y);
     if (less_one)
         return PLUS(less, PLUS(REAL(scale), REAL(-1)));
     return given.x < -87.0f ? REAL(0) : PLUS(REAL(scale), less);
@@ -174,7 +184,7 @@ FUNCTION real r_power_of_e(const real given, const bool less_one)
 FUNCTION real r_logarithm(const real x)
 {
     const real near = REAL(log(x.x));
-    const real off = PLUS(TIMES(x, EXP(-near)), REAL(-1));
+    const real off = PLUS(TIMES(x, EXP(r_negative(near))), REAL(-1));
     return PLUS(near, MINUS(off, REAL(0.5f * off.x * off.x)));
 }
 #endif
