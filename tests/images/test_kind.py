@@ -37,7 +37,10 @@ def test_drawings(name):
     assert kind_of(compressed(image, 75)) == "drawing"
     if name in LOGOS:
         assert kind_of(logo(name, 200, ground=None)) == "drawing"
-        assert kind_of(logo(name, 900, ground="#102030")) == "drawing"
+
+
+def test_a_large_drawing():
+    assert kind_of(logo("star", 900, ground="#102030")) == "drawing"
 
 
 def test_a_shaded_drawing_with_opacity_is_one():
