@@ -138,7 +138,7 @@ class EndCorrection:
         share: Callable[[float], float] = share,
     ) -> None:
         self._details, self._share = details, share
-        self._rest: list[Array | None] = [None, None]
+        self._rest: list[NDArray[np.float32] | None] = [None, None]
 
     def on(self, operations: Operations) -> "EndCorrection":
         """Return the same correction for another device."""
@@ -159,7 +159,7 @@ class EndCorrection:
     def set_rest(self, end: int, missing: Array) -> None:
         """Set the difference that remains at an end, 0 or 1, after correction: (H, W, C) array."""
         if np.abs(missing).max() > ROUNDING:
-            self._rest[end] = missing
+            self._rest[end] = missing.astype(np.float32)
 
     def resting(self, t: float, canvas: Canvas) -> Array | float:
         """Return the correction of the finished frame at t, which rests: (H, W, C) array, or 0."""

@@ -8,7 +8,7 @@ torn along the edges of the picture and nowhere else, and what has no partner fo
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from clmorph.frames.particles import Particles
 from clmorph.frames.resampling import reduced
 
 Array = NDArray[np.float64]
+_Real = TypeVar("_Real", np.float32, np.float64)
 
 #: Cells and points of a field along the longer side.
 CELLS, POINTS = 64, 256
@@ -232,17 +233,17 @@ def sampled(image: NDArray[np.floating], places: Array) -> Array:
     return np.asarray(lines[0] * (1 - down) + lines[1] * down)
 
 
-def blurred(image: Array, width: float) -> Array:
+def blurred(image: NDArray[_Real], width: float) -> NDArray[_Real]:
     """Return an image (H, W) or (H, W, C) under a Gaussian of some pixels."""
     from scipy.ndimage import gaussian_filter
 
     widths = (width, width, 0.0)[: image.ndim]
-    return np.asarray(gaussian_filter(image, widths, mode="nearest"))
+    return np.asarray(gaussian_filter(image, widths, mode="nearest"), dtype=image.dtype)
 
 
-def slopes(image: Array) -> list[Array]:
+def slopes(image: NDArray[_Real]) -> list[NDArray[_Real]]:
     """Return the slopes of an image (H, W) in both directions; 0 along a side of one pixel."""
     return [
-        np.gradient(image, axis=axis) if image.shape[axis] > 1 else np.zeros(image.shape)
+        np.gradient(image, axis=axis) if image.shape[axis] > 1 else np.zeros_like(image)
         for axis in (0, 1)
     ]

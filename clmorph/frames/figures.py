@@ -13,6 +13,7 @@ from clmorph.images.flat_colors import LEVEL, foreground, shares_in_mixtures
 from clmorph.measures.measure import Measure
 
 Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 _Bool = NDArray[np.bool_]
 
 #: Share of the pixels without mass that must have one color, so that they are a ground.
@@ -30,9 +31,9 @@ class Figure(NamedTuple):
     #: Which pixels belong to it alone, (H, W); those of the edge mix it with the ground.
     pure: _Bool
     #: Signed distance from the outline in pixels, positive inside: (H, W) array.
-    distance: Array
+    distance: Float32
     #: Opacity, continued beyond the outline: (H, W) array.
-    alpha: Array
+    alpha: Float32
     #: Width of the outline in pixels.
     softness: float
     #: The color of the ground, sRGB: (3,) array.
@@ -43,7 +44,7 @@ class Figure(NamedTuple):
     @property
     def area(self) -> float:
         """Share of the canvas inside the outline."""
-        return float(np.clip(0.5 + self.distance / self.softness, 0.0, 1.0).mean())
+        return float(np.clip(0.5 + self.distance / self.softness, 0.0, 1.0).mean(dtype=float))
 
     @property
     def translucent(self) -> bool:
@@ -83,10 +84,11 @@ def _figure(inside: _Bool, end: End) -> Figure:
 
     if inside.all():
         far = float(max(inside.shape))
-        alpha = np.ones(inside.shape) if end.alpha is None else end.alpha
-        return Figure(inside, np.full(inside.shape, far), alpha, 1.0, np.zeros(3), 0.0)
-    distance = distance_transform_edt(inside) - distance_transform_edt(~inside)
-    distance = distance + np.where(inside, -0.5, 0.5)
+        alpha = _all(1.0, end) if end.alpha is None else end.alpha.astype(np.float32)
+        return Figure(inside, _all(far, end), alpha, 1.0, np.zeros(3), 0.0)
+    distance: Float32 = distance_transform_edt(inside).astype(np.float32)
+    distance -= distance_transform_edt(~inside).astype(np.float32)
+    distance += np.where(inside, np.float32(-0.5), np.float32(0.5))
     pure = inside.copy()
     rim = inside & (distance < EDGE)
     if end.alpha is None:
@@ -97,18 +99,23 @@ def _figure(inside: _Bool, end: End) -> Figure:
         covered = _covered(end.colors[edge], beyond(end.colors, pure)[edge], ground)
         mixed = (covered > 0) & (covered < 1)
         distance[edge] = np.where(mixed, covered - 0.5, distance[edge])
-        return Figure(pure, distance, np.ones(inside.shape), 1.0, ground, 1.0)
+        return Figure(pure, distance, _all(1.0, end), 1.0, ground, 1.0)
     pure[rim] = (end.alpha >= OPAQUE * maximum_filter(end.alpha, 2 * EDGE + 1))[rim]
     pure = pure if pure.any() else inside
-    alpha = beyond(end.alpha[..., None], pure)[..., 0]
+    opacity = beyond(end.alpha[..., None], pure)[..., 0]
     # Pixels of the edge say where in them the outline runs.
-    covered = end.alpha / np.maximum(alpha, CLEAR)
-    edge = (covered > CLEAR) & (covered < SOLID) & (np.abs(distance) < 0.1 * max(alpha.shape))
+    covered = end.alpha / np.maximum(opacity, CLEAR)
+    edge = (covered > CLEAR) & (covered < SOLID) & (np.abs(distance) < 0.1 * max(end.shape))
     outline = (np.abs(distance) <= 0.5).sum()
     softness = float(np.clip(float(edge.sum()) / max(float(outline), 1.0), 1.0, 16.0))
     mixed = (covered > 0) & (covered < 1) & (np.abs(distance) < EDGE + softness)
-    distance = np.where(mixed, softness * (covered - 0.5), distance)
-    return Figure(pure, distance, alpha, softness, np.zeros(3), 0.0)
+    distance[mixed] = softness * (covered[mixed] - 0.5)
+    return Figure(pure, distance, opacity.astype(np.float32), softness, np.zeros(3), 0.0)
+
+
+def _all(value: float, end: End) -> Float32:
+    """Return a value for each pixel of a picture, in no memory."""
+    return np.broadcast_to(np.float32(value), end.shape)
 
 
 def _covered(colors: Array, figure: Array, ground: Array) -> Array:

@@ -21,8 +21,9 @@ from clmorph.frames.ends import End
 from clmorph.frames.fields import Field, affine, field_of
 from clmorph.frames.figures import figures_of
 from clmorph.frames.moved_layer import layer_of
+from clmorph.frames.outline import thinness
 from clmorph.frames.particles import Particles
-from clmorph.frames.pictures import MET, Pictures, lightness_of, thinness
+from clmorph.frames.pictures import MET, Pictures, lightness_of
 from clmorph.frames.registration import PATH_ROUNDS, STEPS, Scene
 from clmorph.frames.resampling import reduced
 from clmorph.frames.switching import switched, switching_times

@@ -8,7 +8,7 @@ figure's area goes linearly from the one to the other (`figures`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from functools import lru_cache, reduce
 from typing import Any
@@ -16,15 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.threads import in_order
 from clmorph.backends.interface import Operations
 from clmorph.backends.records import LayerView
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
-from clmorph.frames.fields import POINTS, affine, blurred, sampled, slopes
+from clmorph.frames.fields import POINTS, affine, blurred
 from clmorph.frames.figures import Figure, beyond
 from clmorph.frames.moved_layer import Layer, led_to
-from clmorph.frames.resampling import reduced
-from clmorph.images.color import from_space, to_space
+from clmorph.frames.outline import outline_of, thinness
+from clmorph.frames.resampling import Enlarged, reduced
+from clmorph.images.color import PART, from_space, to_space
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -36,25 +38,13 @@ MEAN_SHARE, LOW, LOW_PIXELS = 0.3, 1 / 16, 64
 CLOSE = 1.5
 #: The largest level of distance, in the common frame, that keeps a figure's area.
 LEVEL = 0.06
-ROUNDS = 40
 #: Points of the stage by which outlines that have met may differ.
 MET = 1.0
-#: Width of the Gaussian that smooths an outline where both pictures count alike, twice: a share of
-#: the longer side, and at least some pixels.
-OUTLINE, NARROWEST = 0.006, 1.2
-#: Points of the stage by which layers' outlines differ where their mean is smoothed more: by so
-#: many such widths, which fade at the ends of a film by so much.
-ROUGH, ROUGH_WIDTH, FADING = 6.0, 3.0, 3.0
 #: Points of the stage by which outlines may differ where pictures agree at another time.
 NEAR = 2.0
 #: Width, as a share of the longer side, over which pictures with a ground are continued beyond
 #: their borders. Others are mirrored there.
 MARGIN = 1 / 8
-#: By how much the mean of two distances, halfway, may be made steeper.
-STEEPER = 1.5
-#: Half of the width up to which a line is thin, as a share of the longer side: one of two thin
-#: lines that do not meet is seen, as their mean is no line.
-THIN = 1 / 64
 #: Points of the stage over which a layer stops being seen beyond its own figure.
 COVER = 2.0
 #: Agreement below this is none.
@@ -62,29 +52,43 @@ FAINT = 0.01
 
 
 class Channels:
-    """A picture of three or four channels, (H, W, C), ready to be sampled at any scale."""
+    """A picture of three or four channels, ready to be sampled at any scale.
 
-    def __init__(self, image: Array, canvas: Canvas, operations: Operations) -> None:
-        self._image, self.canvas, self._operations = image, canvas, operations
+    `images`, (H, W, C) each, have its channels. With `beyond_border` it is continued by a margin,
+    as its border is.
+    """
+
+    def __init__(
+        self,
+        images: Sequence[Float32],
+        canvas: Canvas,
+        operations: Operations,
+        *,
+        beyond_border: bool,
+    ) -> None:
+        self._images, self.canvas, self._operations = images, canvas, operations
+        self._margin = MARGIN if beyond_border else 0.0
         self.level = lru_cache(maxsize=None)(self._level)
 
     def on(self, operations: Operations) -> Channels:
         """Return the same picture for another device."""
-        return Channels(self._image, self.canvas, operations)
+        beyond_border = self._margin > 0
+        return Channels(self._images, self.canvas, operations, beyond_border=beyond_border)
 
     def _level(self, halvings: int) -> tuple[Any, Canvas]:
         """Return the picture with fewer pixels, and these."""
         from scipy.ndimage import spline_filter
 
         longest = max(self.canvas.shape)
-        canvas = self.canvas.reduced(max(1, round(longest / 2**halvings)))
-        image = reduced(self._image, canvas.shape)
-        spline = np.zeros((*canvas.shape, 4), np.float32)
-        for channel in range(image.shape[2]):
-            spline[..., channel] = spline_filter(
-                image[..., channel], order=3, mode="mirror", output=np.float32
-            )
-        return self._operations.upload_spline(spline), canvas
+        small = self.canvas.reduced(max(1, round(longest / 2**halvings)))
+        margin = round(self._margin * max(small.shape))
+        height, width = (side + 2 * margin for side in small.shape)
+        spline = np.zeros((height, width, 4), np.float32)
+        channels = (image[..., [c]] for image in self._images for c in range(image.shape[2]))
+        for number, channel in enumerate(channels):
+            plane = np.pad(reduced(channel, small.shape)[..., 0], margin, mode="edge")
+            spline[..., number] = spline_filter(plane, order=3, mode="mirror", output=np.float32)
+        return self._operations.upload_spline(spline), Canvas((height, width), small.scale)
 
 
 def stage_of(canvases: Sequence[Canvas]) -> Canvas:
@@ -102,17 +106,6 @@ def stage_of(canvases: Sequence[Canvas]) -> Canvas:
     per_unit = min(POINTS, longest) / float(extents.max())
     height, width = (max(1, round(extent * per_unit)) for extent in extents)
     return Canvas((height, width), (per_unit, per_unit))
-
-
-def _channels(
-    image: Array, canvas: Canvas, operations: Operations, *, beyond_border: bool
-) -> Channels:
-    """Return a picture ready to be sampled, if asked continued by a margin as its border is."""
-    margin = round(MARGIN * max(canvas.shape)) if beyond_border else 0
-    height, width = (side + 2 * margin for side in canvas.shape)
-    widths = ((margin, margin), (margin, margin), (0, 0))
-    larger = np.pad(image, widths, mode="edge") if margin else image
-    return Channels(larger, Canvas((height, width), canvas.scale), operations)
 
 
 def lightness_of(space: str) -> Array:
@@ -167,14 +160,14 @@ class Pictures:
         #: The pictures, those whose figures are continued, and those that are sampled by name.
         self.own = [_single(to_space(end.colors, space)) for end in ends]
         self.continued = self.own
-        images: dict[str, list[Any]] = {"own": self.own}
+        images: dict[str, list[list[Float32]]] = {"own": [[own] for own in self.own]}
         if figures is not None:
             self.continued = [
                 _single(to_space(beyond(end.colors, figure.pure), space))
                 for end, figure in zip(ends, figures, strict=True)
             ]
             images["figure"] = [
-                np.dstack((colors, figure.distance / max(*canvas.scale, 1e-9)))
+                [colors, figure.distance[..., None] / np.float32(max(*canvas.scale, 1e-9))]
                 for colors, figure, canvas in zip(self.continued, figures, canvases, strict=True)
             ]
         if figures is not None and self.clear:
@@ -185,17 +178,21 @@ class Pictures:
                 for alpha, own, continued in zip(opacities, self.own, self.continued, strict=True)
             ]
             images["own"] = [
-                np.dstack((own, alpha)) for own, alpha in zip(self.own, opacities, strict=True)
+                [own, _single(alpha)[..., None]]
+                for own, alpha in zip(self.own, opacities, strict=True)
             ]
             if any(figure.translucent for figure in figures):
                 images["alpha"] = [
-                    np.dstack((np.zeros((*figure.alpha.shape, 3)), figure.alpha))
+                    [
+                        np.broadcast_to(np.float32(0), (*figure.alpha.shape, 3)),
+                        figure.alpha[..., None],
+                    ]
                     for figure in figures
                 ]
         self._channels = {
             name: [
-                _channels(image, canvas, operations, beyond_border=figures is not None)
-                for image, canvas in zip(same, canvases, strict=True)
+                Channels(channels, canvas, operations, beyond_border=figures is not None)
+                for channels, canvas in zip(same, canvases, strict=True)
             ]
             for name, same in images.items()
         }
@@ -215,7 +212,8 @@ class Pictures:
         if self.figures is None:
             return None
         return [
-            reduced(figure.distance[..., None], shape)[..., 0] / max(*canvas.scale, 1e-9)
+            reduced(figure.distance[..., None], shape)[..., 0].astype(float)
+            / max(*canvas.scale, 1e-9)
             for figure, canvas, shape in zip(self.figures, self.canvases, shapes, strict=True)
         ]
 
@@ -253,57 +251,83 @@ class Pictures:
             low = MEAN_SHARE * blurred(apart.astype(float), LOW * max(coarse.shape))
             low[..., 3] = 0.0
             return self._shown(drawn("own", weights, canvas, low)[..., :3])
-        unit = max(*canvas.scale, 1e-9)
         distances = self._distances(layers, ways)
         covered = _where_covered(distances, shares, weights)
         thin = thin * thinness(np.max(distances, axis=0))
         lines = [each + thin * (weight - each) for each, weight in zip(even, weights, strict=True)]
-        figure = drawn("figure", covered, canvas, fourth=lines).astype(float)
-        area = float(np.dot(shares, self._areas))
-        softness = float(np.dot(shares, [each.softness for each in self.figures]))
-        most = np.inf if any(each.pure.all() for each in self.figures) else LEVEL
-        # Outlines of both layers that nearly meet are drawn as one smooth line, ends as they are.
-        whole_width = max(NARROWEST, OUTLINE * max(canvas.shape)) * self.smoothing
-        width = whole_width * (1.0 - float(max(shares)))
-        places = self.stage.places(canvas.positions())
-        distance = blurred(figure[..., 3], width)
-        # Where they are far apart, their mean has the tears of both.
-        rough = np.clip(blurred(np.ptp(distances, axis=0), 2.0) / ROUGH, 0.0, 1.0) * (1.0 - thin)
-        rough = sampled(rough[..., None], places)[..., 0]
-        wide = ROUGH_WIDTH * whole_width * min(1.0, FADING * (1.0 - float(max(shares))))
-        distance += rough * (blurred(figure[..., 3], wide) - distance)
-        # Where both layers differ, the mean has slopes unlike 1, with which its edge would be soft.
-        slope = np.hypot(*slopes(distance * unit))
-        least = 1.0 - STEEPER * (1.0 - float(max(shares))) * self.smoothing
-        edge = softness / unit * np.clip(slope, least, 1.0)
-        level, opaque = _inside(distance, area, edge, most)
-        opaque, colors = opaque[..., None], figure[..., :3]
+        shown: dict[tuple[int, int], Float32] = {}
+
+        def distance_on(on: Canvas) -> Float32:
+            shown[on.shape] = drawn("figure", covered, on, fourth=lines)
+            return shown[on.shape][..., 3]
+
+        outline = outline_of(
+            distance_on, canvas, np.ptp(distances, axis=0) * (1.0 - thin), self.stage,
+            halfway=1.0 - float(max(shares)), smoothing=self.smoothing,
+            area=float(np.dot(shares, self._areas)),
+            softness=float(np.dot(shares, [each.softness for each in self.figures])),
+            most=np.inf if any(each.pure.all() for each in self.figures) else LEVEL,
+        )  # fmt: skip
         if self.smoothing > 0.0 and max(shares) < 1.0:
-            outline = sampled((distance - level)[..., None], canvas.places(self.stage.positions()))
-            outline = outline[..., 0] * self._per_unit
+            way = affine(self.stage, outline.canvas)
+            edge = Enlarged(outline.distance, way, self.stage.shape).rows() * self._per_unit
             led = [
-                led_to(layer, own, outline, way, self.stage, self._operations)
-                for layer, own, way in zip(layers, distances, ways, strict=True)
+                led_to(layer, own, edge.astype(float), share, self.stage, self._operations)
+                for layer, own, share in zip(layers, distances, ways, strict=True)
             ]
-            colors = self._drawn("figure", led, ways, covered, even, canvas, None)[..., :3]
-        if "alpha" in self._channels:
-            opaque = opaque * np.clip(drawn("alpha", weights, canvas)[..., 3:], 0, 1)
-        ground, alpha = self._ground(shares)
-        whole = opaque + (1 - opaque) * alpha
-        colors = opaque * colors + (1 - opaque) * alpha * ground
-        colors = colors / np.maximum(whole, 1e-6)
-        if agreement.max() > FAINT:
-            # What agrees is a warp of both pictures, with the edges that they have.
-            own = drawn("own", even, canvas)
-            meet = np.exp(-((np.ptp(np.clip(distances, -2 * NEAR, 2 * NEAR), axis=0) / NEAR) ** 2))
-            seen = sampled((agreement * meet)[..., None], places)
-            # Where the area asks for another outline, the pictures' own ones would be halos.
-            seen = seen * np.exp(-((level * unit / MET) ** 2))
-            colors = colors + seen * (own[..., :3] - colors)
+            figure = self._drawn("figure", led, ways, covered, even, canvas, None)
+        else:
+            figure = shown[canvas.shape]
+        shown.clear()
+        translucent = "alpha" in self._channels
+        opacity = drawn("alpha", weights, canvas)[..., 3] if translucent else None
+        # What agrees is a warp of both pictures, with the edges that they have.
+        meet = np.exp(-((np.ptp(np.clip(distances, -2 * NEAR, 2 * NEAR), axis=0) / NEAR) ** 2))
+        # Where the area asks for another outline, the pictures' own ones would be halos.
+        meet *= np.exp(-(((outline.level or 0.0) * max(*canvas.scale, 1e-9) / MET) ** 2))
+        seen = agreement * meet
+        own = drawn("own", even, canvas) if seen.max() > FAINT else None
+        return self._put_together(
+            canvas, figure, outline.on(canvas), opacity, self._ground(shares), own,
+            Enlarged(seen.astype(np.float32), affine(canvas, self.stage), canvas.shape),
+        )  # fmt: skip
+
+    def _put_together(
+        self,
+        canvas: Canvas,
+        figure: Float32,
+        inside: Callable[[slice], Float32],
+        opacity: Float32 | None,
+        ground: tuple[Array, float],
+        own: Float32 | None,
+        seen: Enlarged,
+    ) -> Array:
+        """Return a frame of a figure before its ground, and where `seen` of the pictures' own."""
+        color, alpha = ground[0].astype(np.float32), np.float32(ground[1])
+        frame = np.empty((*canvas.shape, 4 if self.clear else 3))
+
+        def put(rows: slice) -> None:
+            opaque = inside(rows)[..., None]
+            if opacity is not None:
+                opaque = opaque * np.clip(opacity[rows, :, None], 0, 1)
+            behind = (1 - opaque) * alpha
+            whole = opaque + behind
+            colors = (opaque * figure[rows, :, :3] + behind * color) / np.maximum(whole, 1e-6)
+            if own is not None:
+                share = seen.rows(rows)[..., None]
+                colors += share * (own[rows, :, :3] - colors)
+                if self.clear:
+                    whole = whole + share * (own[rows, :, 3:] - whole)
+            frame[rows, :, :3] = self._shown(colors)
             if self.clear:
-                whole = whole + seen * (own[..., 3:] - whole)
-        frame = self._shown(colors)
-        return np.dstack((frame, np.clip(whole, 0.0, 1.0))) if self.clear else frame
+                frame[rows, :, 3:] = np.clip(whole, 0.0, 1.0)
+
+        height, width = canvas.shape
+        together = max(1, PART // width)
+        parts = (slice(first, first + together) for first in range(0, height, together))
+        for _ in in_order(put, parts):
+            pass
+        return frame
 
     def _distances(self, layers: Sequence[Layer], ways: Sequence[float]) -> list[Array]:
         """Return the signed distance from each layer's outline, in points of the stage."""
@@ -385,33 +409,3 @@ def _where_covered(
         weight * cover + left * part / total
         for weight, cover, part in zip(weights, covers, parts, strict=True)
     ]
-
-
-def thinness(distance: Array) -> Array:
-    """Return from 0 to 1 where figures have but thin lines, from their distance in points."""
-    from scipy.ndimage import maximum_filter
-
-    half = THIN * max(distance.shape)
-    widest = maximum_filter(distance, 2 * int(2 * half) + 1)
-    return blurred(np.clip(2.0 - widest / half, 0.0, 1.0), half)
-
-
-def _inside(
-    distance: Array, area: float, softness: Array, most: float
-) -> tuple[float, NDArray[np.floating]]:
-    """Return the level of distance that is the outline of a figure of an area.
-
-    The array is how far each pixel lies inside, from 0 to 1, over a `softness` at each of them.
-    """
-    if area >= 1 - 0.5 / distance.size:
-        return 0.0, np.ones(distance.shape)
-    far = float(softness.max())
-    low, high = float(distance.min()) - far, float(distance.max()) + far
-    low, high = max(low, -most), min(high, most)
-    if low > high:
-        low = high = float(np.clip(0.0, high, low))
-    for _ in range(ROUNDS):
-        level = 0.5 * (low + high)
-        found = np.clip(0.5 + (distance - level) / softness, 0.0, 1.0)
-        low, high = (level, high) if found.mean() > area else (low, level)
-    return level, np.asarray(found)

@@ -1,10 +1,15 @@
-"""Images with fewer pixels over the same extent."""
+"""Images with fewer or more pixels over the same extent."""
+
+from __future__ import annotations
 
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.backends.records import Affine
+
+Float32 = NDArray[np.float32]
 _Real = TypeVar("_Real", np.float32, np.float64)
 
 
@@ -16,3 +21,40 @@ def reduced(image: NDArray[_Real], shape: tuple[int, ...]) -> NDArray[_Real]:
 
     small = resize_local_mean(image, shape, grid_mode=True, preserve_range=True, channel_axis=-1)
     return np.asarray(small, dtype=image.dtype)
+
+
+class Enlarged:
+    """An image (h, w) in float32 on a canvas, linear between its pixels and constant outside.
+
+    `way` says where the canvas, of a `shape`, stands on the image. A few rows can be had at a time.
+    """
+
+    def __init__(self, image: Float32, way: Affine, shape: tuple[int, int]) -> None:
+        (self._above, self._down), (left, along) = (
+            _between(origin, step, few, many)
+            for origin, step, few, many in zip(
+                way.origin, way.step, image.shape, shape, strict=True
+            )
+        )
+        right = np.minimum(left + 1, image.shape[1] - 1)
+        self._lines = image
+        if image.shape[1] != shape[1] or along.any():
+            self._lines = image[:, left] * (1 - along) + image[:, right] * along
+
+    def rows(self, rows: slice = slice(None)) -> Float32:
+        """Return the image on some rows of the canvas."""
+        above, down = self._above[rows], self._down[rows, None]
+        if not down.any():
+            return self._lines[above]
+        below = np.minimum(above + 1, len(self._lines) - 1)
+        return np.asarray(self._lines[above] * (1 - down) + self._lines[below] * down)
+
+
+def _between(
+    origin: float, step: float, few: int, many: int
+) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Return the pixel before each place along a side, and how far it is after that."""
+    # Rounded: where both have the same pixels, nothing lies between them.
+    places = np.clip(np.round(origin + step * np.arange(many), 9), 0, few - 1)
+    first = np.minimum(places.astype(np.intp), max(few - 2, 0))
+    return first, (places - first).astype(np.float32)

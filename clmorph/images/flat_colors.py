@@ -95,14 +95,18 @@ def shares_in_mixtures(colors: Array, background: Array, which: BoolArray) -> Ar
 
 def _noise(found: BoolArray, contrast: Array) -> BoolArray:
     """Return which pixels are what compression leaves beside something strong: thin and weak."""
-    from scipy.ndimage import binary_dilation, binary_opening
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    def least(image: BoolArray, side: int) -> BoolArray:
+        return np.asarray(minimum_filter(image, side, mode="constant", cval=0))
+
+    def most(image: BoolArray, side: int) -> BoolArray:
+        return np.asarray(maximum_filter(image, side, mode="constant", cval=0))
 
     weak = found & (contrast < WEAK)
     if not weak.any():
         return weak
-    square = np.ones((2 * BLOCK + 1,) * 2, dtype=bool)
-    thick = binary_opening(weak, np.ones((WINDOW, WINDOW), dtype=bool))
-    return weak & ~thick & binary_dilation(contrast >= STRONG, square)
+    return weak & ~most(least(weak, WINDOW), WINDOW) & most(contrast >= STRONG, 2 * BLOCK + 1)
 
 
 class Regions(NamedTuple):

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_erosion, gaussian_filter, label
 import clmorph
 from clmorph import InputError, MorphOptions
 from clmorph.backends.numpy import NumPyOperations
-from clmorph.frames import pictures, sprites
+from clmorph.frames import outline, sprites
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.fields import Field
 from clmorph.frames.moved_layer import layer_of, led_to
@@ -290,26 +290,25 @@ class TestThreshold:
         crisp = sprites._inside(distance, area)
         assert crisp.mean() == pytest.approx(area, abs=0.5 / distance.size)
         assert set(np.unique(crisp)) <= {0.0, 1.0}
-        level, soft = pictures._inside(distance, area, np.full(distance.shape, 0.02), np.inf)
+        level = outline.level_of(distance, area, np.full(distance.shape, 0.02), np.inf)
+        soft = np.clip(0.5 + (distance - level) / 0.02, 0, 1)
         assert np.array_equal(soft == 1, distance - level >= 0.01) or area == 1
         assert soft.mean() == pytest.approx(area, abs=1e-6)
         assert 0 <= soft.min() <= soft.max() <= 1
         # Outlines move by no more than the largest level.
-        _, bounded = pictures._inside(distance, area, np.full(distance.shape, 1e-6), 0.01)
-        assert np.all(bounded[distance > 0.011] == 1)
-        assert area == 1 or np.all(bounded[distance < -0.011] == 0)
+        level = outline.level_of(distance, area, np.full(distance.shape, 1e-6), 0.01)
+        assert abs(level) <= 0.01
 
     @pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (2, 2)])
     def test_tiny_canvases(self, shape):
         for values in (np.zeros(shape), np.ones(shape), np.arange(np.prod(shape)).reshape(shape)):
             for area in (0.01, 0.5, 1.0):
-                for found in (
-                    sprites._inside(values.astype(float), area),
-                    pictures._inside(values.astype(float), area, np.ones(shape), np.inf)[1],
-                    pictures._inside(values.astype(float), area, np.ones(shape), 0.06)[1],
-                ):
-                    assert found.shape == shape
-                    assert np.all(np.isfinite(found))
+                found = sprites._inside(values.astype(float), area)
+                assert found.shape == shape
+                assert np.all(np.isfinite(found))
+                for most in (np.inf, 0.06):
+                    level = outline.level_of(values.astype(float), area, np.ones(shape), most)
+                    assert np.isfinite(level)
 
 
 class TestOptions:

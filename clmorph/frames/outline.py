@@ -1,0 +1,146 @@
+"""The outline of the figures of a frame: a level of the mean of the layers' signed distances.
+
+The level is that at which the figure has an area. Where both layers count alike, the mean is
+smoothed, so that outlines which nearly meet are one line. It is computed on as many pixels as its
+smoothness asks for: in a frame of 4096 pixels that is a fraction of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.fields import affine, blurred, slopes
+from clmorph.frames.resampling import Enlarged
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+#: Rounds of bisection by which a level is found.
+ROUNDS = 40
+#: Width of the Gaussian that smooths an outline where both pictures count alike, twice: a share of
+#: the longer side, and at least some pixels.
+SMOOTH, NARROWEST = 0.006, 1.2
+#: Points of the stage by which layers' outlines differ where their mean is smoothed more: by so
+#: many such widths, which fade at the ends of a film by so much.
+ROUGH, ROUGH_WIDTH, FADING = 6.0, 3.0, 3.0
+#: By how much the mean of two distances, halfway, may be made steeper.
+STEEPER = 1.5
+#: Pixels across the width of a Gaussian on the canvas on which what it smooths is computed.
+ACROSS = 3.0
+#: Half of the width up to which a line is thin, as a share of the longer side: one of two thin
+#: lines that do not meet is seen, as their mean is no line.
+THIN = 1 / 64
+#: A share of what is smoothed more that nobody sees.
+FAINT = 0.01
+
+
+class Outline(NamedTuple):
+    """The outline of the figures of one frame."""
+
+    canvas: Canvas
+    #: Signed distance from it in the common frame, positive inside: (h, w) array on that canvas.
+    distance: Float32
+    #: Width over which it is drawn, likewise.
+    edge: Float32
+    #: The level of the mean distance that it is; None if all pixels are inside.
+    level: float | None
+
+    def on(self, canvas: Canvas) -> Callable[[slice], Float32]:
+        """Return what gives, for rows of a canvas, how far pixels lie inside, from 0 to 1."""
+        if self.level is None:
+            return lambda rows: np.ones((1, 1), np.float32)
+        way = affine(canvas, self.canvas)
+        distance, edge = (
+            Enlarged(image, way, canvas.shape) for image in (self.distance, self.edge)
+        )
+        half, zero, one = np.float32(0.5), np.float32(0.0), np.float32(1.0)
+        return lambda rows: np.clip(half + distance.rows(rows) / edge.rows(rows), zero, one)
+
+
+def outline_of(
+    distance_on: Callable[[Canvas], Float32],
+    canvas: Canvas,
+    apart: Array,
+    stage: Canvas,
+    *,
+    halfway: float,
+    smoothing: float,
+    area: float,
+    softness: float,
+    most: float,
+) -> Outline:
+    """Return the outline of a figure with an area, a share of the canvas, in one frame.
+
+    `distance_on` gives the mean distance on a canvas in the common frame; `apart`, on the stage, by
+    how many of its points the layers' own differ. `halfway` is 1 less the larger share of the
+    pictures, and `smoothing`, from 0 to 1, how much the outline is smoothed there. `softness` is
+    its width in pixels, and `most` the largest level.
+    """
+    longest = max(canvas.shape)
+    whole = max(NARROWEST, SMOOTH * longest) * smoothing
+
+    def smooth(width: float) -> tuple[Float32, Canvas]:
+        fewer = max(1.0, width / ACROSS)
+        on = canvas.reduced(max(1, round(longest / fewer))) if fewer > 1.0 else canvas
+        return blurred(distance_on(on), width * max(on.shape) / longest), on
+
+    distance, fine = smooth(whole * halfway)
+    # Where they are far apart, their mean has the tears of both.
+    rough = np.clip(blurred(apart, 2.0) / ROUGH, 0.0, 1.0)
+    if smoothing * halfway > 0.0 and rough.max() > FAINT:
+        wide, on = smooth(ROUGH_WIDTH * whole * min(1.0, FADING * halfway))
+        wide = Enlarged(wide, affine(fine, on), fine.shape).rows()
+        share = Enlarged(rough.astype(np.float32), affine(fine, stage), fine.shape).rows()
+        distance = distance + share * (wide - distance)
+    unit, grain = max(*canvas.scale, 1e-9), longest / max(fine.shape)
+    # Where both layers differ, the mean has slopes unlike 1, with which its edge would be soft.
+    least = 1.0 - STEEPER * halfway * smoothing
+    edge = np.full(distance.shape, np.float32(softness / unit))
+    if least < 1.0:
+        steep = np.hypot(*slopes(distance * np.float32(unit / grain)))
+        edge *= np.clip(steep, np.float32(least), np.float32(1.0))
+    if area >= 1 - 0.5 / (canvas.shape[0] * canvas.shape[1]):
+        return Outline(fine, distance, edge, None)
+    level = level_of(distance, area, edge * np.float32(grain), most)
+    return Outline(fine, distance - np.float32(level), edge, level)
+
+
+def level_of(
+    distance: NDArray[np.floating], area: float, softness: NDArray[np.floating], most: float
+) -> float:
+    """Return the level of distance that is the outline of a figure of an area.
+
+    Pixels within half a `softness`, (H, W), of it count in part. It is at most `most` off zero.
+    """
+    far = float(softness.max())
+    low, high = float(distance.min()) - far, float(distance.max()) + far
+    low, high = max(low, -most), min(high, most)
+    if low > high:
+        low = high = float(np.clip(0.0, high, low))
+    wanted, inside = area * distance.size, 0
+    open_, width = distance.ravel(), softness.ravel()
+    level = low
+    for _ in range(ROUNDS):
+        level = 0.5 * (low + high)
+        found = np.clip(0.5 + (open_ - level) / width, 0.0, 1.0).sum(dtype=float) + inside
+        low, high = (level, high) if found > wanted else (low, level)
+        # Pixels that are inside, or outside, at each level that is left need no further look.
+        sure = open_ - high >= 0.5 * width
+        unsure = ~sure & (low - open_ < 0.5 * width)
+        inside += int(sure.sum())
+        open_, width = open_[unsure], width[unsure]
+    return level
+
+
+def thinness(distance: Array) -> Array:
+    """Return from 0 to 1 where figures have but thin lines, from their distance in points."""
+    from scipy.ndimage import maximum_filter
+
+    half = THIN * max(distance.shape)
+    widest = maximum_filter(distance, 2 * int(2 * half) + 1)
+    return blurred(np.clip(2.0 - widest / half, 0.0, 1.0), half)
