@@ -50,6 +50,8 @@ OUTLINES = (
 )  # fmt: skip
 #: The longest correction of a round, as a share of the grid's longer side: of details, of outlines.
 LONGEST, LONGEST_OUTLINE = 0.045, 0.06
+#: Rounds of an estimate, each of which moves the second image by what is known.
+WARPS = 6
 #: Mean square of slopes below which a window does not tell displacements.
 FLAT = 1e-3
 #: Width of the Gaussian that smooths a correction, in grid points.
@@ -254,21 +256,25 @@ def _on_middle(
 def _flow(images: Sequence[Array], radius: int, longest: float, width: float) -> Array:
     """Return how far the second image is from the first at each point: (2, H, W) array.
 
-    In windows without contrast, and along straight edges, nothing is known, and it is 0.
+    In windows without contrast, and along straight edges, nothing is known, and it is 0. So what is
+    as good as nothing must not count in any round: it would be the rounding of the images.
     """
     from scipy.ndimage import uniform_filter
-    from skimage.registration import optical_flow_ilk
 
-    found = optical_flow_ilk(images[0], images[1], radius=radius, num_warp=6).astype(float)
-    y, x = np.gradient(images[0])
-    yy, yx, xx = (
-        uniform_filter(each, 2 * radius + 1, mode="mirror") for each in (y * y, y * x, x * x)
-    )
-    down, along = yy * found[0] + yx * found[1], yx * found[0] + xx * found[1]
-    yy, xx = yy + FLAT, xx + FLAT
-    flow = np.stack((xx * down - yx * along, yy * along - yx * down)) / (yy * xx - yx * yx)
-    limit = longest * max(images[0].shape)
-    flow *= np.minimum(1.0, limit / np.maximum(np.hypot(*flow), 1e-9))
+    first, second = images
+    grid, flow = np.indices(first.shape).astype(float), np.zeros((2, *first.shape))
+    limit = longest * max(first.shape)
+    for _ in range(WARPS):
+        moved = sampled(second[..., None], grid + flow)[..., 0]
+        y, x = np.gradient(moved)
+        apart = y * flow[0] + x * flow[1] + first - moved
+        yy, yx, xx, down, along = (
+            uniform_filter(each, 2 * radius + 1, mode="mirror")
+            for each in (y * y, y * x, x * x, y * apart, x * apart)
+        )
+        yy, xx = yy + FLAT, xx + FLAT
+        flow = np.stack((xx * down - yx * along, yy * along - yx * down)) / (yy * xx - yx * yx)
+        flow *= np.minimum(1.0, limit / np.maximum(np.hypot(*flow), 1e-9))
     return np.stack([blurred(part, width) for part in flow])
 
 
