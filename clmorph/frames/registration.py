@@ -256,14 +256,31 @@ def _on_middle(
 def _flow(images: Sequence[Array], radius: int, longest: float, width: float) -> Array:
     """Return how far the second image is from the first at each point: (2, H, W) array.
 
-    In windows without contrast, and along straight edges, nothing is known, and it is 0. So what is
-    as good as nothing must not count in any round: it would be the rounding of the images.
+    In windows without contrast, and along straight edges, nothing is known, and it is 0.
+    """
+    flow = _estimated(images[0], images[1], radius)
+    limit = longest * max(images[0].shape)
+    flow *= np.minimum(1.0, limit / np.maximum(np.hypot(*flow), 1e-9))
+    return np.stack([blurred(part, width) for part in flow])
+
+
+def _estimated(first: Array, second: Array, radius: int) -> Array:
+    """Return an estimate of that, which begins with images of half the size.
+
+    What is as good as nothing must not count in any round: it would be the images' rounding.
     """
     from scipy.ndimage import uniform_filter
+    from skimage.transform import pyramid_reduce
 
-    first, second = images
-    grid, flow = np.indices(first.shape).astype(float), np.zeros((2, *first.shape))
-    limit = longest * max(first.shape)
+    shape = first.shape
+    flow = np.zeros((2, *shape))
+    if min(shape) > 2 * FEWEST:
+        less = [pyramid_reduce(image, channel_axis=None) for image in (first, second)]
+        coarse = _estimated(*less, radius)
+        scale = np.divide(shape, coarse.shape[1:])[:, None, None]
+        points = (np.indices(shape) + 0.5) / scale - 0.5
+        flow = np.moveaxis(sampled(np.moveaxis(coarse * scale, 0, -1), points), -1, 0)
+    grid = np.indices(shape).astype(float)
     for _ in range(WARPS):
         moved = sampled(second[..., None], grid + flow)[..., 0]
         y, x = np.gradient(moved)
@@ -274,8 +291,7 @@ def _flow(images: Sequence[Array], radius: int, longest: float, width: float) ->
         )
         yy, xx = yy + FLAT, xx + FLAT
         flow = np.stack((xx * down - yx * along, yy * along - yx * down)) / (yy * xx - yx * yx)
-        flow *= np.minimum(1.0, limit / np.maximum(np.hypot(*flow), 1e-9))
-    return np.stack([blurred(part, width) for part in flow])
+    return flow
 
 
 def _contrast(lightness: Array, width: float) -> Array:

@@ -162,6 +162,28 @@ class TestLogos:
             assert label(ink)[1] <= 2
         assert max(rims[1:-1]) < max(rims[0], rims[-1])  # 1.06 times as long with tears
 
+    def test_rounding_does_not_change_a_film(self, device, rng):
+        """What a picture does not tell is not told by its last bits."""
+        pair = []
+        for shapes in (
+            (("ellipse", (34, 70, 118, 180)), ("ellipse", (90, 70, 174, 180))),
+            (
+                ("polygon", (40, 110, 216, 110, 190, 150, 66, 150)),
+                ("rectangle", (122, 30, 132, 110)),
+            ),
+        ):
+            image = Image.new("RGB", (256, 256), "white")
+            for color, (shape, box) in zip(("#c02020", "#306080"), shapes, strict=True):
+                getattr(ImageDraw.Draw(image), shape)(box, fill=color)
+            pair.append(np.asarray(image.resize((128, 128), Image.Resampling.BOX)) / 255)
+        noisy = np.clip(pair[0] + 1e-9 * rng.standard_normal(pair[0].shape), 0.0, 1.0)
+        frames = [
+            clmorph.morph(first, pair[1], backend=device, preset="logo", landmarks=None).frame(0.5)
+            for first in (pair[0], noisy)
+        ]
+        apart = np.abs(frames[1] - frames[0]).max(axis=2) > 0.06
+        assert apart.mean() < 0.008  # 0.03 if windows without contrast count
+
     def test_nothing_comes_from_beyond_a_border(self, device):
         """A figure near the border is not mirrored there when its canvas grows."""
         first, last = np.ones((40, 64, 3)), np.ones((64, 64, 3))
