@@ -276,7 +276,7 @@ def _estimated(first: Array, second: Array, radius: int) -> Array:
     flow = np.zeros((2, *shape))
     if min(shape) > 2 * FEWEST:
         less = [pyramid_reduce(image, channel_axis=None) for image in (first, second)]
-        coarse = _estimated(*less, radius)
+        coarse = _estimated(less[0], less[1], radius)
         scale = np.divide(shape, coarse.shape[1:])[:, None, None]
         points = (np.indices(shape) + 0.5) / scale - 0.5
         flow = np.moveaxis(sampled(np.moveaxis(coarse * scale, 0, -1), points), -1, 0)

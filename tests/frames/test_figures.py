@@ -159,8 +159,8 @@ class TestLogos:
         for t in (0.0, 0.25, 0.5, 0.75, 0.875, 1.0):
             ink = morph.frame(t)[..., 0] < 0.5
             rims.append(sum(int(np.diff(ink, axis=axis).sum()) for axis in (0, 1)))
-            assert label(ink)[1] <= 2
-        assert max(rims[1:-1]) < max(rims[0], rims[-1])  # 1.06 times as long with tears
+            assert label(ink)[1] <= 3
+        assert max(rims[1:-1]) < 1.02 * max(rims[0], rims[-1])  # 1.06 times as long with tears
 
     def test_rounding_does_not_change_a_film(self, device, rng):
         """What a picture does not tell is not told by its last bits."""
