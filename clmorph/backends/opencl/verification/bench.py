@@ -162,8 +162,8 @@ class Clouds:
 
     @cached_property
     def size(self) -> float:
-        """The largest extent of both clouds together."""
-        return float(np.ptp(np.concatenate((self.rows[0], self.columns[0])), axis=0).max())
+        """The largest extent of both clouds together; 1 if all points are equal."""
+        return float(np.ptp(np.concatenate((self.rows[0], self.columns[0])), axis=0).max()) or 1.0
 
     @cached_property
     def g(self) -> Float64:
