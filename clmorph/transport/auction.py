@@ -1,10 +1,10 @@
-"""An auction of columns among rows (Bertsekas 1988), and prices that prove the assignment.
+"""Assignments of candidates by bids and by shortest paths, and prices that prove them.
 
-Candidates are the pairs that are looked at. Each row without a column bids for its cheapest one, by
-as much as this is cheaper than the row's second one, plus an increment. A column changes its owner
-and its price; at the end each row has a column that is cheapest but for the increment. If there are
-more columns than rows, those that no row has must have the largest price of all, the level: they
-bid for rows until they have it (Bertsekas, Castanon 1992).
+Candidates are the pairs that are looked at. Bids (an auction, Bertsekas 1988) give most rows a
+column: each row without one bids for its cheapest one, by as much as this is cheaper than the row's
+second one, plus an increment. Shortest paths (Jonker, Volgenant 1987; SciPy's for sparse pairs)
+make the assignment the cheapest one. Prices follow from it: each row's column is the cheapest one
+at them. If there are more columns than rows, those that no row has have the largest price of all.
 """
 
 from __future__ import annotations
@@ -13,12 +13,23 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 from clmorph._shared.typing import Array
 from clmorph.transport.pair_costs import Costs, Indices
 
 #: Falls of a price that are rounding, relative to costs and prices: units in their last place.
 ROUNDING = 4 * np.finfo(float).eps
+#: Share of rows without a column at which bids end.
+OPEN = 0.01
+#: Unit of costs along shortest paths, relative to the largest one.
+STEPS = 2.0**-24
+#: Units that are fine enough, relative to a quantile of what pairs cost above their row's cheapest
+#: one, and units up to which a pair can cost more than that in the next, finer ones.
+FINE, LOW, RANGE = 1e-6, 0.1, 2.0**10
+#: Largest number of units, each finer than the last one.
+STAGES = 6
 #: Rows left without a column get one of those left in parts of so many rows, which bounds the time.
 PART = 1000
 #: Steps along shortest paths after each of which circles are looked for.
@@ -66,11 +77,10 @@ class Auction:
     def __init__(self, costs: Costs, g: Array, rows: Indices, columns: Indices) -> None:
         self.costs, self.g = costs, g.copy()
         n, m = len(costs.x), len(costs.y)
-        self.level = float(g.max())  #: price of columns that no row has
         self.owner = np.full(m, -1)  #: (M,) row of each column; -1 and from N on are no rows
         self.taken = np.full(n, -1)  #: (N,) column of each row
         self._place = np.full(n, -1)  #: (N,) place of that column among the candidates
-        self._pairs = np.zeros(0, np.intp)
+        self._pairs, self._cost = np.zeros(0, np.intp), np.zeros(0)
         self.add(rows, columns)
 
     def add(self, rows: Indices, columns: Indices) -> None:
@@ -78,12 +88,9 @@ class Auction:
         n, m = len(self.taken), len(self.g)
         self._pairs = np.union1d(self._pairs, rows * m + columns)
         rows, columns = np.divmod(self._pairs, m)
-        cost = self.costs.of_pairs(rows, columns)
+        self._cost = cost = self.costs.of_pairs(rows, columns)
         self._rows = _Table.of(rows, columns, cost, n)
         self._most = float(cost.max()) + 1e-300
-        if self.costs.spare:
-            order = np.argsort(columns, kind="stable")
-            self._columns = _Table.of(columns[order], rows[order], cost[order], m)
         self._find_places(np.flatnonzero(self.taken >= 0))
 
     def _find_places(self, rows: Indices) -> None:
@@ -92,14 +99,10 @@ class Auction:
         self._place[rows] = is_own.argmax(axis=1)
 
     def take(self, columns: Indices) -> None:
-        """Begin with an assignment of candidates: (N,) column of each row."""
-        self.taken[:] = columns
+        """Take an assignment of candidates: (N,) column of each row."""
+        self.taken[:], self.owner[:] = columns, -1
         self.owner[columns] = np.arange(len(columns))
         self._find_places(np.arange(len(columns)))
-
-    def release(self) -> None:
-        """Take all columns from their rows."""
-        self.owner[:], self.taken[:] = -1, -1
 
     @property
     def size(self) -> float:
@@ -123,19 +126,12 @@ class Auction:
         shift = self.g.max() if self.costs.spare else 0.0
         return float((f + shift).sum() + (self.g - shift).sum()) - rounding * size
 
-    def run(self, increment: float, bids: int) -> bool:
-        """Let rows bid until all have a column, or bids are used up; return whether all have."""
+    def run(self, increment: float, bids: int) -> None:
+        """Let rows bid until few have no column, or bids are used up."""
         open_ = np.flatnonzero(self.taken < 0)
-        while len(open_) and bids > 0:
-            if len(open_) > 1:
-                bids -= len(open_)
-                open_ = self._round(open_, increment)
-            else:
-                last, bids = self._chain(int(open_[0]), increment, bids)
-                open_ = open_[:0] if last < 0 else np.array([last])
-        if len(open_):
-            return False
-        return not self.costs.spare or self._raise(increment, bids)
+        while len(open_) > OPEN * len(self.taken) and bids > 0:
+            bids -= len(open_)
+            open_ = self._round(open_, increment)
 
     def _round(self, rows: Indices, increment: float) -> Indices:
         """Let rows bid together; return those that then have no column."""
@@ -152,60 +148,54 @@ class Auction:
         self.taken[before] = -1
         return np.concatenate((rows[~won], before))
 
-    def _chain(self, row: int, increment: float, bids: int) -> tuple[int, int]:
-        """Let one row bid, then the one that has lost its column; return the last one, or -1."""
-        g, owner, taken, table = self.g, self.owner, self.taken, self._rows
-        while bids > 0:
-            bids -= 1
-            columns = table.other[row]
-            value = table.cost[row] - g[columns]
-            place = int(value.argmin())
-            best = value[place]
-            value[place] = np.inf
-            wanted = columns[place]
-            g[wanted] -= min(value.min() - best, self._most) + increment
-            before = int(owner[wanted])
-            owner[wanted], taken[row], self._place[row] = row, wanted, place
-            if before < 0:
-                return -1, bids
-            taken[before] = -1
-            row = before
-        return row, bids
+    def shorten(self, work: int, least: float = 0.0) -> None:
+        """Make the assignment the cheapest one of the candidates, nearly, by shortest paths.
 
-    def _raise(self, increment: float, bids: int) -> bool:
-        """Let columns that no row has bid for rows, up to the level; return whether all have it."""
-        self.level = max(self.level, float(self.g[self.taken].max()))
-        n = len(self.taken)
-        open_ = np.flatnonzero((self.owner < 0) & (self.g < self.level))
-        f = self._rows.cost[np.arange(n), self._place] - self.g[self.taken]
-        while len(open_) and bids > 0:
-            bids -= len(open_)
-            best, place, lead = self._columns.bids(open_, f, self._most)
-            wanted = self._columns.other[open_, place]
-            stays = self.level <= best + increment
-            self.g[open_[stays]] = self.level
-            bidders, wanted = open_[~stays], wanted[~stays]
-            best, lead = best[~stays], lead[~stays]
-            price = np.minimum(self.level, best + lead + increment)
-            reached = f[wanted] - (price - best)
-            np.minimum.at(f, wanted, reached)
-            # The last of equal bids.
-            winner = np.full(n, -1)
-            could = reached == f[wanted]
-            winner[wanted[could]] = bidders[could]
-            won = winner[wanted] == bidders
-            columns, rows = bidders[won], wanted[won]
-            left = self.taken[rows]
-            self.owner[left] = -1
-            self.owner[columns], self.taken[rows], self.g[columns] = rows, columns, price[won]
-            open_ = np.concatenate((bidders[~won], left[self.g[left] < self.level]))
-        self._find_places(np.arange(n))
-        return not len(open_)
+        Costs are integers for it, whose sums are exact. Where these are too coarse, prices follow,
+        and pairs that are then far from cheapest are left out, so that integers can be finer.
+        """
+        most = np.inf
+        for _ in range(STAGES):
+            unit, typical = self._shorten(most)
+            fine = max(FINE * typical, ROUNDING * self.size, least / 2)
+            if self.costs.spare or unit <= fine:
+                return
+            # Rounded costs have no negative circles, so that others have none beyond two units.
+            if not self.settle(work, 2 * unit):
+                return
+            most = RANGE * unit
 
-    def settle(self, work: int) -> bool:
+    def _shorten(self, most: float) -> tuple[float, float]:
+        """Use pairs that cost up to `most` above their row's; return the unit and a low cost.
+
+        SciPy first looks for any assignment, which takes long unless it finds this one at once:
+        columns are numbered by their rows.
+        """
+        n, m = len(self.taken), len(self.g)
+        rows, columns = np.divmod(self._pairs, m)
+        cost = self._cost if self.costs.spare else self._cost - self.g[columns]
+        cost = cost - np.minimum.reduceat(cost, np.searchsorted(rows, np.arange(n)))[rows]
+        if most < np.inf:
+            kept = np.flatnonzero((cost <= most) | (columns == self.taken[rows]))
+            rows, columns, cost = rows[kept], columns[kept], cost[kept]
+        unit = STEPS * float(cost.max())
+        order = np.concatenate((self.taken, np.setdiff1d(np.arange(m), self.taken)))
+        number = np.empty(m, np.intp)
+        number[order] = np.arange(m)
+        there = number[columns]
+        by_row = np.argsort(rows * m + there)
+        first = np.searchsorted(rows, np.arange(n + 1))
+        # What is 0 would be no pair.
+        steps = np.rint(cost / (unit or 1.0)) + 1
+        pairs = csr_array((steps[by_row], there[by_row], first), shape=(n, m))
+        self.take(order[min_weight_full_bipartite_matching(pairs)[1]])
+        return unit, float(np.quantile(cost, LOW))
+
+    def settle(self, work: int, least: float = 0.0) -> bool:
         """Make the assignment the cheapest one of the candidates; return whether it is proven.
 
-        work: number of lines of candidates after which it ends.
+        work: number of lines of candidates after which it ends; least: falls of a price that are
+        left out.
 
         Prices fall to g_j <= C_ij - C_is(i) + g_s(i) (Bellman, Ford), from where the last ones have
         fallen. Rows that undercut one another in a circle change their columns, which is cheaper
@@ -216,7 +206,7 @@ class Auction:
         self.owner[free] = np.arange(n, m)
         cause = np.full(m, -1)  # the column whose row has set a column's price last
         changed = np.arange(m)
-        least = ROUNDING * self.size
+        least = max(least, ROUNDING * self.size)
         step = 0
         while work > 0:
             step, work = step + 1, work - len(changed)
@@ -238,8 +228,6 @@ class Auction:
                 columns = np.append(columns, over)
                 causes = np.append(causes, np.full(len(over), lowest))
             if not len(columns):
-                if self.costs.spare:
-                    self.level = float(self.g.max())
                 return True
             np.minimum.at(self.g, columns, price)
             is_lowest = price == self.g[columns]

@@ -23,9 +23,13 @@ from clmorph.transport.plan_search import plan_search
 from clmorph.transport.regularization import regularization
 from clmorph.transport.sinkhorn import solve
 
-#: epsilon of the entropic start, relative to the mean cost of all pairs; its tolerance and the
-#: largest number of its iterations.
-EPSILON, TOLERANCE, ITERATIONS = 1e-3, 0.2, 300
+#: epsilon of the entropic start, relative to the mean cost of all pairs; its tolerance, the largest
+#: number of its iterations, and nats that pairs left out may change.
+EPSILON, TOLERANCE, ITERATIONS, TRUNCATION = 1e-3, 0.2, 300, 1e-2
+#: Pairs from which leaving some out hastens that, and so do coarser problems up to this dimension.
+LARGE, FLAT = 1 << 23, 3
+#: Points left over, for each one that is assigned, with which prices begin at 0 instead.
+SPARE = 0.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -95,7 +99,7 @@ def assignment(
         Share of the bound by which the cost may exceed it. 0 asks for the cheapest assignment: its
         cost is that of `scipy.optimize.linear_sum_assignment`, to the rounding of float64.
     seed : int
-        Seed of the parts in which far pairs are looked for.
+        Seed of draws of pairs, where there are more than 2^27 and the gap is above 0.
     backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`. The device solves the entropic problem at whose potentials
         the search begins.
@@ -198,11 +202,16 @@ def _scaled(
     unit = Costs(costs.x / scale**0.5, costs.y / scale**0.5, costs.weights)
     line = unit.x.shape[1] == 1 and not unit.spare and unit.weights is None
     prices, start = _in_order(unit) if line else (None, None)
-    if prices is None:
+    large = len(unit.x) * len(unit.y) >= LARGE
+    coarse = large and unit.x.shape[1] <= FLAT
+    if prices is None and unit.spare < SPARE * len(unit.x):
         prices = solve(
             operations, unit.measures(), regularization(EPSILON**0.5), TOLERANCE, ITERATIONS,
-            "auto", lambda share: report(Share(0.3 * share, "prices")),
+            "float32", lambda share: report(Share(0.3 * share, "prices")),
+            truncation=TRUNCATION if large else "auto", multiscale=coarse or "auto",
         ).g  # fmt: skip
+    elif prices is None:
+        prices = g  # most points of the larger cloud are left, whose prices are 0
     plans = None if start is not None else plan_search(unit, EPSILON, gap, operations, seed)
     found = solved(
         unit, prices, EPSILON, gap, seed,

@@ -18,7 +18,7 @@ from clmorph.transport.pair_costs import Costs, Indices
 DRAWS, TEMPERATURES = 16, (4.0, 1.0, 0.25)
 #: Nats by which pairs left out may lower the logarithm of a sum.
 TRUNCATION = 1e-2
-#: Share of an increment of bids that a bound may lose.
+#: Share of the accuracy that a bound may lose.
 LOST = 1 / 8
 
 
@@ -72,7 +72,7 @@ class PlanSearch:
             columns += [there.ravel(), each]
         return np.concatenate(rows), np.concatenate(columns)
 
-    def below(self, g: Array, guess: Array, increment: float) -> tuple[Array, float]:
+    def below(self, g: Array, guess: Array, accuracy: float) -> tuple[Array, float]:
         """Return f_i at most min_j (C_ij - g_j), (N,), and by how much they may be lower.
 
         With masses b_j, the soft minimum T(g)_i = -epsilon log sum_j b_j exp((g_j - C_ij) /
@@ -85,7 +85,7 @@ class PlanSearch:
             float(np.ptp(each.offsets)) for each in self._measures if each.offsets is not None
         )
         nats = float(np.log(len(g)))
-        epsilon = max(LOST * increment / (2 * nats), 2 * spread / self._operations.max_spread)
+        epsilon = max(LOST * accuracy / (2 * nats), 2 * spread / self._operations.max_spread)
         softmin = self._softmin(0)
         softmin.guess = guess
         found = softmin(g, epsilon, bounded=True)
