@@ -30,7 +30,7 @@ from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.gradient import Gradient, divergence_gradient
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Regularization, regularization
+from clmorph.transport.regularization import Regularization, of_pairs, regularization
 from clmorph.transport.sinkhorn import sinkhorn, solve, warn_unless_converged
 
 #: The problem between two measures is solved further if the gap of its values is more than this
@@ -139,6 +139,7 @@ class Divergence:
         return None
 
 
+@of_pairs
 def sinkhorn_divergence(
     source: MeasureLike,
     target: MeasureLike,
@@ -250,7 +251,7 @@ def sinkhorn_divergence(
 
 def _warn_of_itself(own: Potentials) -> None:
     """Warn if the problem of a measure with itself did not converge."""
-    warn_unless_converged(own.status, f"self-transport: {own.message}")
+    warn_unless_converged(own.status, f"self-transport: {own.message}", 5)
 
 
 def one_regularization(blur: Any, reach: Any, epsilon: Any, rho: Any) -> Regularization:

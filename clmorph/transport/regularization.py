@@ -3,14 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
 from clmorph._shared.validation import as_float, shown
 from clmorph.errors import InputError
 from clmorph.transport.options import LENGTH, Reach, SolverOptions
+
+#: What is said of arguments in the order of other libraries.
+OTHER_ORDER = (
+    "blur and reach are lengths, not arrays: weights and points of a measure are one argument, "
+    "as in clmorph.sinkhorn((a, x), (b, y), blur=0.05)"
+)
+_Given = ParamSpec("_Given")
+_Result = TypeVar("_Result")
+
+
+def of_pairs(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+    """Refuse arguments (a, x, b, y) with the right call, also where blur is given by name."""
+
+    @wraps(function)
+    def call(*given: _Given.args, **named: _Given.kwargs) -> _Result:
+        if len(given) > 2 and _has_axes(given[2]):
+            raise InputError(OTHER_ORDER)
+        return function(*given, **named)
+
+    return call
 
 
 class Regularization(NamedTuple):
@@ -58,10 +79,7 @@ def regularization(
     for value in (blur, reach):
         # As other libraries are called; a pair of reaches is no array of measures.
         if len(getattr(value, "shape", ())) > 1 or (value is blur and _has_axes(blur)):
-            raise InputError(
-                "blur and reach are lengths, not arrays: weights and points of a measure are one "
-                "argument, as in clmorph.sinkhorn((a, x), (b, y), blur=0.05)"
-            )
+            raise InputError(OTHER_ORDER)
     if epsilon is not None:
         if blur is not None:
             raise InputError(

@@ -41,9 +41,10 @@ from clmorph.transport.options import (
     SolverOptions,
 )
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Regularization, regularization
+from clmorph.transport.regularization import Regularization, of_pairs, regularization
 
 
+@of_pairs
 def sinkhorn(
     source: MeasureLike,
     target: MeasureLike,
@@ -179,7 +180,7 @@ def sinkhorn(
 
 def _warned(potentials: Potentials) -> Potentials:
     """Return potentials, and warn if they did not reach the tolerance."""
-    warn_unless_converged(potentials.status, potentials.message)
+    warn_unless_converged(potentials.status, potentials.message, 5)
     return potentials
 
 
@@ -310,7 +311,10 @@ def outcome(
     }[status]
 
 
-def warn_unless_converged(status: str, message: str) -> None:
-    """Warn the caller of a public function, which calls this through one private function."""
+def warn_unless_converged(status: str, message: str, frames: int = 4) -> None:
+    """Warn the caller of a public function, which calls this through one private function.
+
+    frames: one more where the public function is decorated.
+    """
     if status != "converged":
-        warnings.warn(message, ConvergenceWarning, stacklevel=4)
+        warnings.warn(message, ConvergenceWarning, stacklevel=frames)

@@ -124,6 +124,8 @@ def test_call_of_other_libraries_is_explained(solved, call):
         with pytest.raises(InputError, match=r"sinkhorn\(\(a, x\), \(b, y\)") as caught:
             call(*arguments, backend="numpy")
         assert "\n" not in str(caught.value)
+        with pytest.raises(InputError, match=r"sinkhorn\(\(a, x\), \(b, y\)"):
+            call(*arguments, blur=0.05)
 
 
 def test_dense_plan(solved):
