@@ -6,7 +6,8 @@ Uniform points in a cube, blur 0.05, reach 0.5, a tolerance of 10^-3 epsilon. Th
 kernels is that of their profiling events: the softmins' own, and all of them, with the arithmetic
 between softmins where it is on the device. All the rest is the host's: launches, transfers and
 waits, with the preparation of the points and the certificate. Times are the least of several
-solves. The counts are for one softmin, as means over a solve.
+solves. The counts are for one softmin, as means over a solve. The main thread's time is that of a
+processor's core, outside of waits for the device.
 """
 
 import argparse
@@ -23,8 +24,6 @@ from clmorph.backends.opencl.backend import OpenCLOperations
 
 #: The kernel of a softmin; none here takes several launches of it.
 SOFTMIN = "log_sum_exp"
-#: Number of timed solves.
-REPEATS = 12
 
 
 def kernel_seconds(operations: OpenCLOperations, solve: Any) -> tuple[float, float]:
@@ -45,6 +44,14 @@ def kernel_seconds(operations: OpenCLOperations, solve: Any) -> tuple[float, flo
     seconds = [(name, 1e-9 * (event.profile.end - event.profile.start)) for name, event in events]
     softmins = sum(each for name, each in seconds if name == SOFTMIN)
     return softmins, sum(each for _, each in seconds)
+
+
+def main_thread_seconds(solve: Any) -> float:
+    """Return how long the main thread computes in a solve, outside of waits for the device."""
+    with TransferCount() as count:
+        began = time.thread_time()
+        solve()
+        return time.thread_time() - began - count.seconds_in_waits
 
 
 def counts(solve: Any) -> tuple[int, TransferCount]:
@@ -74,10 +81,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--devices", nargs="+", default=["auto"], help="names of OpenCL devices")
     parser.add_argument("--points", nargs="+", type=int, default=[256, 1024, 4096])
+    parser.add_argument("--repeats", type=int, default=12, help="the number of timed solves")
     options = parser.parse_args()
     print("| device | points | solve, ms | softmins, ms | all kernels, ms | softmins", end="")
-    print(" | host per softmin, ms | launches | waits | bytes read | bytes written |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    print(" | host per softmin, ms | main thread outside waits, ms", end="")
+    print(" | launches | waits | bytes read | bytes written |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
     for name in options.devices:
         operations = clmorph.get_backend(name)
         assert isinstance(operations, OpenCLOperations), f"{name} is no OpenCL device"
@@ -93,14 +102,17 @@ def main() -> None:
 
             solve()
             softmins, count = counts(solve)
-            wall = min(seconds(solve) for _ in range(REPEATS))
-            timed = [kernel_seconds(operations, solve) for _ in range(REPEATS)]
+            repeats = options.repeats
+            wall = min(seconds(solve) for _ in range(repeats))
+            outside = min(main_thread_seconds(solve) for _ in range(repeats))
+            timed = [kernel_seconds(operations, solve) for _ in range(repeats)]
             own, kernels = (min(each) for each in zip(*timed, strict=True))
             moved = [count.n_bytes(kind) / softmins for kind in ("read", "write")]
             print(
                 f"| {name} | {n} | {1e3 * wall:.1f} | {1e3 * own:.1f} | {1e3 * kernels:.1f} | "
                 f"{softmins} | "
-                f"{1e3 * (wall - kernels) / softmins:.3f} | {count.n_launches / softmins:.2f} | "
+                f"{1e3 * (wall - kernels) / softmins:.3f} | {1e3 * outside:.1f} | "
+                f"{count.n_launches / softmins:.2f} | "
                 f"{count.n_waits / softmins:.2f} | {moved[0]:.0f} | {moved[1]:.0f} |",
                 flush=True,
             )

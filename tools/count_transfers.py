@@ -11,6 +11,7 @@ commands as the driver receives them.
 """
 
 import functools
+import time
 from collections import Counter
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -56,6 +57,8 @@ class TransferCount:
         self.commands: list[Command] = []
         #: Launches of kernels, and the times that the host has waited for the device.
         self.n_launches = self.n_waits = 0
+        #: Seconds of this thread's processor in waits; some drivers compute in them.
+        self.seconds_in_waits = 0.0
         self._patches: list[Any] = []
 
     def __enter__(self) -> "TransferCount":
@@ -103,7 +106,11 @@ class TransferCount:
         @functools.wraps(function)
         def wait(*arguments: Any) -> Any:
             self.n_waits += 1
-            return function(*arguments)
+            began = time.thread_time()
+            try:
+                return function(*arguments)
+            finally:
+                self.seconds_in_waits += time.thread_time() - began
 
         return wait
 
