@@ -91,9 +91,8 @@ class Anderson:
     ) -> tuple[Array, Any]:
         """Store the iterate x, (n,), with its image G(x), and return the next one and if it is new.
 
-        It is the image until a problem has two iterates. The weights of a problem's first
-        iterate define its inner product. Problems that `which` leaves out begin anew with
-        their next iterate.
+        The weights of a problem's first iterate define its inner product. Problems that `which`
+        leaves out begin anew with their next iterate.
         """
         of, residual = self._of, image - x
         begun, which = self._begun, np.broadcast_to(which, of.shape)

@@ -90,9 +90,8 @@ class CorrectedProblem(Problem):
         self.masses = float(self.a.sum()), float(self.b.sum())
 
     def _sides(self, f: Array, g: Array, t_rows: Array, t_columns: Array) -> tuple[Side, Side]:
-        # Pairs left out change the correction, and not where the cycles end. They may hold more
-        # than this problem's tolerance, which a residual that counted them would not reach. So a
-        # corrected problem has no certificate; that of the finest problem counts its own pairs.
+        # Pairs left out change the correction, not where the cycles end; a residual that counted
+        # them would not reach the tolerance. The finest problem's certificate counts its own pairs.
         rows, columns = super()._sides(f, g, t_rows, t_columns)
         return rows._replace(left_out=0.0), columns._replace(left_out=0.0)
 
@@ -145,11 +144,10 @@ class CoarseGrid(NamedTuple):
 def expanded(
     softmin: Softmin, potential: Array, epsilon: float, clusters: Clusters, measure: AnyMeasure
 ) -> Array:
-    """Estimate T(potential) at points from its value and gradient at the centers of their clusters.
+    """Estimate T(potential) at points from its value and gradient at their clusters, its rows.
 
-    The clusters are the rows of the softmin. The gradient of T at a center X is X less the mean
-    destination of its row. As |x|^2 / 2 - T(x) is convex, the result is not below T, but for
-    rounding: near pairs that are chosen by it leave out no more than they may.
+    The gradient at a center X is X less the mean destination of its row. As |x|^2 / 2 - T(x) is
+    convex, the result is not below T: near pairs chosen by it leave out no more than they may.
     """
     values, means = softmin.operations.barycentric_projection(
         softmin.rows, softmin.columns, potential, epsilon, False, softmin.near
@@ -166,9 +164,8 @@ def expanded(
 class StoredSoftmin(Softmin):
     """The soft minimum over stored pairs, whose vectors have the order of `StoredPairs.orders`.
 
-    The pairs are those of the plan of two potentials: that of the columns, (M,), and that of
-    the rows. `start` is the latter plus epsilon times the logarithms of the rows' masses, (N,).
-    Rows without a stored pair keep their softmin, (N,).
+    They were stored for potentials of the columns, (M,), and of the rows; `start` is the latter
+    plus epsilon log(masses). Rows without a stored pair keep their softmin, (N,).
     """
 
     def __init__(
@@ -230,11 +227,7 @@ class StoredProblem(CorrectedProblem):
         self._started: ResidentIteration | None = None
 
     def start_iteration(self) -> ResidentIteration | None:
-        """Return an iteration on the device, which takes the memory of the one before, or None.
-
-        None is for backends without it, and where closed forms of the penalties have too
-        few digits.
-        """
+        """Return the device's iteration; None where closed forms of penalties have few digits."""
         enough = dual_rounding(self, self._epsilon, False) / PLAN_CHANGE
         rounding = MASS_ROUNDING if self.operations.has_float64 else PAIR_ROUNDING
         for mass, inverse in zip(self.masses, self.inverse_rho, strict=True):

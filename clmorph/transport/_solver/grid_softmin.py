@@ -50,15 +50,12 @@ class GridSoftmin:
         return check_finite(logarithms)
 
     def means(self, potential: Array, epsilon: float) -> tuple[Array, Array]:
-        """Return T(potential), (N,), and the mean of each row's destinations, (N, D).
-
-        The mean of a coordinate is a quotient of sums: a mass is multiplied by its coordinate,
-        counted from below the least one so that its logarithm exists.
-        """
+        """Return T(potential), (N,), and the mean of each row's destinations, (N, D)."""
         exponents = potential / epsilon + self._log_weights
         of_rows = self._sum(exponents, epsilon, True)
         means = np.empty((len(of_rows), self.rows.dimension))
         for k, axis in enumerate(self.columns.axes):
+            # A mass is multiplied by its coordinate, counted so that its logarithm exists.
             extent = float(np.ptp(axis))
             origin = axis.min() - (extent or 1.0)
             shape = [-1 if other == k else 1 for other in range(self.columns.dimension)]
@@ -83,9 +80,8 @@ class GridSoftmin:
     def _roundoff(self, exponents: Array, epsilon: float) -> float:
         """Return a bound of the rounding of T(potential), given potential / epsilon, in nats.
 
-        Before each pass, exponents are in a range that the squared distances and the numbers of
-        terms have enlarged. A pass rounds exponents relative to it, squared distances relative to
-        the square of the extent, and its sums once a term; it leaves out far less.
+        A pass rounds exponents relative to their range, which squared distances and numbers of
+        terms enlarge, squared distances relative to the extent's, and its sums once a term.
         """
         massive = self.weights[1] > 0
         given, logarithms = exponents[massive], self._log_weights[massive]
@@ -100,10 +96,7 @@ class GridSoftmin:
     def rounding(
         self, largest_cost: Any, epsilon: float, precise: bool, exact: bool = False
     ) -> Any:
-        """Return the largest effect of rounding on a softmin, in nats; see `rounding_error`.
-
-        A pass rounds what the passes before have found.
-        """
+        """Return the largest effect of rounding on a softmin; a pass rounds those before."""
         return rounding_error(
             self.operations, self.n_columns, 2 * largest_cost / epsilon, precise, exact or precise
         )

@@ -1,13 +1,9 @@
 """The accelerated iteration behind `clmorph.sinkhorn` and `clmorph.sinkhorn_batch`.
 
-The solver maximizes the dual at a sequence of falling blurs (annealing). At each blur it
-extrapolates the half-steps of Sinkhorn (`_solver.anderson`). It takes an extrapolation back if the
-dual is then below the value that the plain half-step had reached, by more than rounding explains.
-So but for rounding the dual never falls at one blur, and the limit is that of the plain iteration.
-
-One problem and many are solved by the same lines: what a loop knows of a problem is a number, or an
-array with a number for each of the problems, see `_solver.reductions`. Many problems take a step
-together, so that one launch of a kernel serves them all, and each stops by itself.
+The solver maximizes the dual at falling blurs (annealing). At each it extrapolates Sinkhorn's
+half-steps (`_solver.anderson`), and takes an extrapolation back if the dual is then below that of
+the plain half-step by more than rounding explains: the limit is that of the plain iteration.
+Numbers of one problem are arrays of many (`_solver.reductions`), which step together.
 """
 
 from collections.abc import Callable
@@ -90,19 +86,15 @@ class Reached:
 class Iteration:
     """The solve of one problem, or of many, by Sinkhorn's iteration, annealed and extrapolated.
 
-    The last level has this blur; its residual shall be `tol`, in units of epsilon, after at
-    most `max_iter` iterations, those of the annealing included. One of them takes `softmins`,
-    of which `n_softmin` were before. `certify` makes the last softmins
-    `Problem.bounded_softmins`. After `patience` iterations without a new best residual the
-    iteration ends, if rounding explains that. With `exact` all sums are exact, and the levels
-    before the last are solved to `tol`, too: where groups of points stand far apart, mass finds
-    its way between them at large blurs alone.
+    The residual shall be `tol`, in units of epsilon, after at most `max_iter` iterations of
+    `softmins` each, of which `n_softmin` were before. After `patience` of them without a new best
+    residual it ends, if rounding explains that. `certify` makes the last softmins bounded ones.
+    With `exact` all sums are exact, and all levels are solved to `tol`: between groups of points
+    far apart, mass finds its way at large blurs alone.
 
-    The result is potentials and their softmins, f, t_rows (N,) and g, t_columns (M,), and for
-    each of B problems, or one, the residual, the bounds `roundoffs` of the rounding of T(g) and
-    T(f) in nats, (2, B), the status {"converged", "max_iter", "precision"}, the largest
-    residual that rounding alone can cause, whether float32 exponents were too coarse
-    (`precise`), and the softmins of iterations.
+    The result is f, t_rows (N,) and g, t_columns (M,), and for each of B problems the residual, the
+    bounds `roundoffs` of T(g) and T(f) in nats, (2, B), the status, the largest residual that
+    rounding alone can cause, and whether float32 exponents were too coarse (`precise`).
     """
 
     def __init__(
@@ -289,9 +281,8 @@ class Iteration:
     ) -> Reached:
         """Iterate at one epsilon until residuals are `tol` or `limit` iterations are over.
 
-        A problem also ends where its residual no longer falls and rounding explains that,
-        or, with `leave`, for any reason: better exponents then take over, and a slow
-        problem falls by less than float32 resolves.
+        A problem also ends where its residual no longer falls because of rounding, or, with
+        `leave`, for any reason: a slow problem falls by less than float32 resolves.
         """
         problem = some(self.problem, numbers)
         of: Any = problem.of_rows

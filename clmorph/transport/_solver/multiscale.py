@@ -322,11 +322,7 @@ class Multiscale:
             before = residual
 
     def _correct(self, grid: CoarseGrid, image: Array) -> tuple[Array, float, bool]:
-        """Solve the corrected coarse problem and prolong its change (a two-grid cycle).
-
-        Return better potentials g, (M,), than the image; the residual that they leave in
-        the coarse problem; and whether its solve has ended at the edge of the trust region.
-        """
+        """Return g after a two-grid cycle, the coarse residual, and if the edge has ended it."""
         epsilon, coarse = self._blur**2, grid.problem
         f, g, t_rows, t_columns, residual = self.state
         own_f = grid.source.restrict(f, self.problem.a)

@@ -30,11 +30,9 @@ class HalfStep(NamedTuple):
 class Problem:
     """Unbalanced entropic transport between two measures, at any epsilon.
 
-    With the reductions `Segments` it is many problems (`_solver.batch`): vectors then hold the
-    points of all problems, and in place of a number an array holds one for each problem.
-
-    `to_rows` and `to_columns` compute T(g) and T(f); the weights are the masses (a, b) of both
-    measures; an infinite rho is balanced; `largest_cost` is an upper bound.
+    With the reductions `Segments` it is many problems, whose vectors hold the points of all, and
+    whose numbers are arrays. `to_rows` and `to_columns` compute T(g) and T(f); the weights are the
+    masses (a, b); an infinite rho is balanced; `largest_cost` is an upper bound.
     """
 
     #: Whether every softmin has the powers and sums of `bounded_softmins`, at three times the time.
@@ -53,6 +51,9 @@ class Problem:
         oscillations: tuple[Any, Any] | None = None,
     ) -> None:
         self.to_rows, self.to_columns = to_rows, to_columns
+        #: The backend, and the source's and the target's cloud.
+        self.operations: Operations = to_rows.operations
+        self.rows, self.columns = to_rows.rows, to_rows.columns
         self.a, self.b = weights
         with np.errstate(divide="ignore"):
             self.log_a, self.log_b = np.log(self.a), np.log(self.b)
@@ -122,21 +123,6 @@ class Problem:
         )  # fmt: skip
 
     @property
-    def operations(self) -> Operations:
-        """The backend."""
-        return self.to_rows.operations
-
-    @property
-    def rows(self) -> Any:
-        """The source's cloud."""
-        return self.to_rows.rows
-
-    @property
-    def columns(self) -> Any:
-        """The target's cloud."""
-        return self.to_rows.columns
-
-    @property
     def truncation(self) -> float | None:
         """Nats by which a log-sum-exp may be too small; None if all pairs are summed."""
         return self.to_rows.truncation
@@ -190,13 +176,12 @@ class Problem:
     def half_step(
         self, side: int, old: Array, softmin: Array, epsilon: float, before: Any = None
     ) -> HalfStep:
-        """Maximize the dual over a potential and a shift s of the other, given T(old).
+        """Maximize the dual over f (side 0), or g (1), and a shift s of the other, given T(old).
 
-        The new potential is Delta T(old + s) for every s (paper, 3.1), and the best s has a closed
-        form (math: translation invariance): at this s, <a, exp(-f / rho)> and <b, exp(-g / rho)>
-        are both the mass of the plan. `before` is the logarithm of this sum before the shift, if it
-        is known; side 0 has f, side 1 has g. Source of the idea: Séjourné, Vialard, Peyré, "Faster
-        unbalanced optimal transport: translation invariant Sinkhorn and 1-D Frank-Wolfe" (2022).
+        The new potential is Delta T(old + s) for every s (paper, 3.1). At the best s, <a, exp(-f /
+        rho)> and <b, exp(-g / rho)> are both the mass of the plan (math: translation invariance);
+        `before` is the logarithm of this sum before the shift, if known. Source of the idea:
+        Séjourné, Vialard, Peyré, "Faster unbalanced optimal transport" (2022), Algorithm 1.
         """
         # 1 / (rho + epsilon) and 1 / rho: 0 if balanced
         damping = self.damping(epsilon)[side]
@@ -266,15 +251,11 @@ class Problem:
         return marginal(self.b, self.log_b, g, t_columns, epsilon)
 
     def dual(self, f: Array, g: Array, plan_mass: Any, epsilon: float, enough: Any = 0.0) -> Any:
-        """Return D(f, g) without its constant epsilon m_a m_b, given the mass of its plan.
+        """Return D(f, g) without its constant epsilon m_a m_b, given its plan's mass (paper, 2.1).
 
-        (paper, 2.1; math: dual) Where masses are large, adding the constant would lose
-        digits.
-
-        `enough` is the rounding that each penalty may have, in units of epsilon times the
-        plan's mass. If it is not 0, f and g must be those of a `HalfStep`: then <a, exp(-f
-        / rho)> is the mass of the plan, and needs no exponential where rho is small enough
-        for that rounding.
+        `enough` is the rounding that each penalty may have, in units of epsilon times the plan's
+        mass. If it is not 0, f and g must be those of a `HalfStep`, where <a, exp(-f / rho)> is the
+        mass of the plan and needs no sum if that is exact enough.
         """
         value = -epsilon * plan_mass
         of: Any

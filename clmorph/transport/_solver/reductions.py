@@ -96,7 +96,7 @@ class Whole:
 
 
 class Segments:
-    """Reductions over vectors that hold the points of many problems one after the other."""
+    """Those of `Whole` over vectors of many problems, one after the other: (B,) arrays."""
 
     def __init__(self, counts: IntArray) -> None:
         self.counts = counts
@@ -107,11 +107,9 @@ class Segments:
         self._each = int(counts[0]) if len(counts) and np.all(counts == max(counts[0], 2)) else 0
 
     def filled(self, value: Any) -> AnyArray:
-        """Return one number for each problem."""
         return np.full(self.shape, value)
 
     def without(self, which: BoolArray, others: BoolArray) -> BoolArray:
-        """Return for each problem whether the first is true of it, and the second is not."""
         return which & ~others
 
     any, choose = staticmethod(np.any), staticmethod(np.where)
@@ -139,11 +137,9 @@ class Segments:
         return np.asarray(np.maximum.reduceat(x, self.starts))
 
     def spread(self, value: Any) -> Any:
-        """Return a number of each problem for each of its points; a single number as it is."""
         return value if np.ndim(value) == 0 else np.repeat(value, self.counts)
 
     def scaled(self, factor: Any, x: Array) -> Array:
-        """Return a vector multiplied by a number of each problem."""
         if np.ndim(factor) == 0:
             return np.asarray(factor * x)
         if self._each:
@@ -167,14 +163,12 @@ class Segments:
         return np.concatenate([np.einsum("k,kn->n", *parts) for parts in both])
 
     def points_of(self, problems: IntArray) -> IntArray:
-        """Return the indices of the points of some problems, problem after problem."""
         counts = self.counts[problems]
         ends = np.cumsum(counts)
         total = int(ends[-1]) if len(ends) else 0
         return np.arange(total) + np.repeat(self.starts[problems] - (ends - counts), counts)
 
     def some(self, problems: IntArray) -> "Segments":
-        """Return the reductions of some problems."""
         return Segments(self.counts[problems])
 
     def _parts(self, x: AnyArray) -> list[AnyArray]:

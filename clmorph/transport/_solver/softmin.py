@@ -44,17 +44,14 @@ def many_pairs_factor(operations: Operations) -> int:
 class Softmin:
     """The operator T: potentials of the columns to soft minima, one a row (paper, section 3.1).
 
-    With a truncation, in nats, T sums only near pairs (`Operations.near_pairs`). These are
-    chosen for one potential g. At another potential h the share of the other pairs can have
-    grown by at most exp(max(h - g) / epsilon), times the change of the row's own sum. Pairs are
-    chosen anew only where this bound exceeds the truncation. They are chosen for the share
-    `reserve` of it: with a smaller one they remain valid for longer. Unless `proven`, nothing
-    proves a choice.
+    With a truncation, in nats, T sums only near pairs, which are chosen for one potential g and the
+    share `reserve` of the truncation. At another potential h the share of the other pairs can have
+    grown by at most exp(max(h - g) / epsilon), times the change of the row's own sum; where this
+    bound exceeds the truncation pairs are chosen anew. Unless `proven`, nothing proves a choice.
 
-    `left_out` bounds the nats by which the logarithms of the last sums are too small, and
-    `roundoff` their rounding after a `bounded` softmin. `near` has the pairs of these sums, or
-    None for all, and `guess` (N,) is an estimate of the next softmin: the last one unless it is
-    set.
+    `left_out` bounds the nats by which the last sums are too small, and `roundoff` their rounding
+    after a `bounded` softmin. `near` has their pairs, or None for all, and `guess` (N,) estimates
+    the next softmin.
     """
 
     def __init__(
