@@ -39,9 +39,9 @@ def test_faces_of_the_cascade_are_paired(no_mesh):
     woman = photograph("astronaut.png")
     small = np.full((250, 220, 3), 0.5)
     small[30:, :200] = woman[:440:2, :400:2]
-    began = time.perf_counter()
+    began = time.process_time()
     found = Finder([woman, small]).common(0, 1)
-    assert time.perf_counter() - began < 8.0  # 2 s where nothing else runs
+    assert time.process_time() - began < 8.0  # 2 s where nothing else runs
     assert found.text.startswith("one face in each picture: 5 points, of place and size alone; a m")
     assert np.abs(found.ends - (found.starts / 2 + (0, 30))).max() < 6.0
 
@@ -77,8 +77,8 @@ def test_pictures_without_contrast_and_of_any_size(no_mesh, shape, rng):
 def test_large_pictures_take_no_longer(no_mesh):
     """They are reduced first: 16 megapixels take less than two seconds where nothing else runs."""
     large = np.kron(photograph("astronaut.png"), np.ones((8, 8, 1)))
-    began = time.perf_counter()
+    began = time.process_time()
     found = Finder([large, large]).common(0, 1)
-    assert time.perf_counter() - began < 8.0
+    assert time.process_time() - began < 8.0
     assert "one face" in found.text
     assert np.array_equal(found.starts, found.ends)
