@@ -78,12 +78,12 @@ class Workspace:
         self._scalars: dict[cl.Kernel, dict[int, bytes]] = {}
         self._pool = MemoryPool(ImmediateAllocator(queue, cl.mem_flags.READ_WRITE))
 
-    def note(self, name: str, event: cl.Event) -> None:
+    def note(self, kernel: cl.Kernel, event: cl.Event) -> None:
         """Add the device's seconds of a kernel that has ended, if the queue is profiled."""
         if self._is_profiled:
             seconds = 1e-9 * (event.profile.end - event.profile.start)
             self.device_seconds += seconds
-            self.longest_launch = max(self.longest_launch, (seconds, name))
+            self.longest_launch = max(self.longest_launch, (seconds, kernel.function_name))
 
     def buffer(self, values: NDArray[Any], dtype: Any = np.float32) -> cl.Buffer:
         """Return a buffer that holds these values."""
@@ -142,4 +142,4 @@ class Workspace:
                 )
         finally:
             cl.wait_for_events(ended)
-        self.note(kernel.function_name, ended[0])
+        self.note(kernel, ended[0])

@@ -404,7 +404,7 @@ class ResidentSteps(ABC):
         bound.bind(iteration, self._scalars)
         prepare, iteration.prepared = iteration.is_unprepared, -1
         control, events = iteration.control(begun, place, count), list[cl.Event]()
-        launched, began = list[tuple[str, cl.Event]](), time.perf_counter()
+        launched, began = list[tuple[cl.Kernel, cl.Event]](), time.perf_counter()
         try:
             events += self._tell(iteration, bound, control, radius, prepare)
             for name, size, group in self._launches(iteration, prepare):
@@ -412,7 +412,7 @@ class ResidentSteps(ABC):
                 events.append(
                     cl.enqueue_nd_range_kernel(queue, kernel, size, group, wait_for=before)
                 )
-                launched.append((name, events[-1]))
+                launched.append((kernel, events[-1]))
             events.append(
                 cl.enqueue_copy(
                     queue, iteration.numbers, iteration.arguments["numbers"],
@@ -426,8 +426,8 @@ class ResidentSteps(ABC):
             raise
         if bound.budget:
             bound.budget.learn(iteration.n_pairs, time.perf_counter() - began)
-        for name, event in launched:
-            self._work.note(name, event)
+        for kernel, event in launched:
+            self._work.note(kernel, event)
         self._read_numbers(iteration)
         return iteration.read()
 
