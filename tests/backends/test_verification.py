@@ -451,7 +451,7 @@ def test_text_that_a_driver_prints_hides_nothing(one, empty, monkeypatch, reason
 
 
 @pytest.mark.parametrize(
-    ("module", "name"), [(trial, "_interpreter"), (programs, "index_of")], ids=str
+    ("module", "name"), [(trial, "interpreter"), (programs, "index_of")], ids=str
 )
 def test_where_no_process_can_be_started_programs_are_checked_here(
     one, requests, monkeypatch, module, name

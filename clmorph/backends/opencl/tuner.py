@@ -7,12 +7,7 @@ import pyopencl as cl
 
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
-from clmorph.backends.opencl.build.tuned_record import (
-    CANDIDATES,
-    has_possible_rows,
-    is_possible,
-    save_tuning,
-)
+from clmorph.backends.opencl.build.tuned_record import CANDIDATES, is_possible, save_tuning
 from clmorph.backends.opencl.build.variants import usual_variants
 from clmorph.backends.opencl.devices.throughput import throughput
 from clmorph.errors import ClmorphError
@@ -27,11 +22,11 @@ def variants(constants: BuildConstants, name: str, largest_group: int) -> Iterat
     """Yield constants with another value of one of them, and adapt others that depend on it."""
     for value in CANDIDATES[name]:
         other = replace(constants, **{name: value})
-        if name in ("width", "tile") and other.tile % (other.width * other.group):
+        if name == "group":
+            other = replace(other, tile=max(other.tile, other.width * other.group))
+        elif other.tile % (other.width * other.group):
             other = replace(other, group=max(1, other.tile // other.width))
-        if name == "group" and other.tile < other.width * other.group:
-            other = replace(other, tile=other.width * other.group)
-        if name != "rows" and not has_possible_rows(other):
+        if not is_possible(other, largest_group):
             other = replace(other, rows=1)
         if other != constants and is_possible(other, largest_group):
             yield other

@@ -88,7 +88,7 @@ class Programs:
     def _verdict(self, variant: Variant) -> verdicts.ProgramVerdict:
         """Verify a program whose verdict is unknown; its check comes first."""
         key, index = self._key(variant), index_of(self._device)
-        if index is None or not trial.can_start_process():
+        if index is None or trial.interpreter() is None:
             assert self._check_here is not None
             return verdicts.save_program_verdict(key, self._check_here(variant))
         others = [

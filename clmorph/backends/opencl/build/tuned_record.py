@@ -21,19 +21,17 @@ CANDIDATES: dict[str, tuple[int, ...]] = {
 
 
 def is_possible(constants: BuildConstants, largest_group: int) -> bool:
-    """Return whether kernels can be built: work-groups are within the limit and divide tiles."""
+    """Return whether kernels can be built: work-groups are within the limit and divide tiles.
+
+    Rows are the least, or more than a vector and no more than a group has.
+    """
     return (
         constants.group <= largest_group
         and constants.tile in CANDIDATES["tile"]
         and constants.tile % (constants.width * constants.group) == 0
         and constants.tile % constants.unroll == 0
-        and has_possible_rows(constants)
+        and (constants.rows == 1 or constants.width < constants.rows <= constants.group_rows)
     )
-
-
-def has_possible_rows(constants: BuildConstants) -> bool:
-    """Return whether rows are the least, or more than a vector and no more than a group has."""
-    return constants.rows == 1 or constants.width < constants.rows <= constants.group_rows
 
 
 def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) -> None:

@@ -68,7 +68,7 @@ def run_probe(index: str, request: str | None = None) -> dict[str, Any]:
     (bool), which states whether another probe would return the same verdict, and if it ran out of
     time, timed_out (True).
     """
-    seconds, python = probe_seconds(), _interpreter()
+    seconds, python = probe_seconds(), interpreter()
     if python is None:
         return _failed(
             f"cannot be tried, because {sys.executable or 'an empty sys.executable'!r} is no "
@@ -194,12 +194,7 @@ def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
     return key, name
 
 
-def can_start_process() -> bool:
-    """Return whether the path of the Python interpreter is known, so that a probe can be run."""
-    return _interpreter() is not None
-
-
-def _interpreter() -> str | None:
+def interpreter() -> str | None:
     """Return the path of the Python interpreter; None if an embedding program does not set it.
 
     The path may then be that of the application itself, which must not be started as the probe.

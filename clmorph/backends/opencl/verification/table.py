@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.build.variants import KERNELS, Variant, all_variants
@@ -53,18 +53,13 @@ def first_failure(operations: Any, variant: Variant) -> str:
     return ""
 
 
-class DeviceCheck(NamedTuple):
-    """A comparison of a whole device, and the kernels that it is about."""
-
-    kernels: tuple[str, ...]
-    run: Callable[[], Iterator[Finding]]
-
-
-def device_checks(operations: Operations, pictures: tuple[Cloud, Cloud]) -> Iterator[DeviceCheck]:
-    """Yield every comparison in every variant; none computes anything before it is run."""
+def device_checks(
+    operations: Operations, pictures: tuple[Cloud, Cloud]
+) -> Iterator[tuple[tuple[str, ...], Callable[[], Iterator[Finding]]]]:
+    """Yield every comparison in every variant, after the kernels that it is about."""
     bench = Bench(operations, pictures)
     for row in TABLE:
         for variant in all_variants(DIMENSION):
             if variant.file == row.file:
                 lists = KERNELS["near_field.cl"] if variant.listed else ()
-                yield DeviceCheck((*row.kernels, *lists), partial(row.run, bench, variant))
+                yield (*row.kernels, *lists), partial(row.run, bench, variant)
