@@ -7,12 +7,14 @@
 // to its largest exponent so far, and rescaled when that grows, as attention is computed (Rabe and
 // Staats 2021).
 //
-// Launch: as in row_loop.cl; get_global_id(1) is a share of the column tiles.
+// Launch: as in row_loop.cl; get_global_id(1) is a share of the column tiles. With SLICE the sums of a row stand
+// in global memory, and columns are staged a second time, slice by slice, to be added to them.
 
 #include "row_loop.cl"
 
 // A row's sums: of the powers w_j, and of w_j z_j with z_j = k (Y_j - p).
 #define SUMS (1 + DIM)
+#define SUM_AT(number) (((size_t)(number) * shares + share) * n_rows + local_row)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void barycentric_projection(
@@ -24,6 +26,37 @@ void barycentric_projection(
     SHARE_SETUP;
     // Above columns without mass: the difference of two sentinels is no exponent.
     vreal m = (vreal)(0.5f * SENTINEL);
+#ifdef SLICE
+    vreal total = (vreal)(0.0f);
+    for (uint d = 0; d < DIM; ++d)
+        VSTORE((vreal)(0.0f), SUM_AT(1 + d), sums);
+    for (uint n = n_begin; n < n_end; ++n) {
+        const uint q = STAGE_TILE(n);
+        vreal m_new = m;
+        for (uint j = 0; j < TILE; ++j)
+            m_new = max(m_new, e_nearest(u[j]));
+        const vreal scale = exp2_nonpositive(m - m_new);
+        m = m_new;
+        vreal w[TILE];
+        vreal of_tile = (vreal)(0.0f);
+        for (uint j = 0; j < TILE; ++j) {
+            w[j] = exp2_nonpositive(e_above(u[j], m));
+            of_tile += w[j];
+        }
+        total = total * scale + of_tile;
+        for (uint first = 0; first < DIM; first += SLICE) {
+            const uint count = min((uint)SLICE, DIM - first);
+            STAGE_SLICE(q, first, count);
+            for (uint d = 0; d < count; ++d) {
+                vreal sum = (vreal)(0.0f);
+                for (uint j = 0; j < TILE; ++j)
+                    sum += w[j] * (float)staged[d * STAGED_ROW + j];
+                VSTORE(VLOAD(SUM_AT(1 + first + d), sums) * scale + sum, SUM_AT(1 + first + d), sums);
+            }
+        }
+    }
+    VSTORE(total, SUM_AT(0), sums);
+#else
     vreal total[SUMS];
     for (int n = 0; n < SUMS; ++n)
         total[n] = (vreal)(0.0f);
@@ -61,7 +94,8 @@ void barycentric_projection(
         for (int d = 0; d < SUMS; ++d)
             total[d] += of_tile[d];
     }
-    VSTORE(m, (size_t)share * n_rows + local_row, maxima);
     for (int d = 0; d < SUMS; ++d)
-        VSTORE(total[d], ((size_t)d * shares + share) * n_rows + local_row, sums);
+        VSTORE(total[d], SUM_AT(d), sums);
+#endif
+    VSTORE(m, (size_t)share * n_rows + local_row, maxima);
 }

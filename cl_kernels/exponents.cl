@@ -6,7 +6,7 @@
 //             float64; 4 times the time. Dekker 1971; Ogita, Rump, Oishi 2005 (Dot2).
 //             2: float64; on CPUs 2.3 times the time.
 // Inputs are float32 in all: PLANES of them, the second with what the first rounds off.
-// -D DIM, TILE, MASKED  see row_loop.cl
+// -D DIM or SLICE, TILE, MASKED  see row_loop.cl
 
 #ifndef PRECISE
 #define PRECISE 0
@@ -60,7 +60,7 @@ typedef vreal ereal;
 #else
 #define STAGED_ROW TILE
 #endif
-#define STAGED_PLANE ((DIM + 1) * STAGED_ROW)
+#define STAGED_PLANE ((STAGED_COORDINATES + 1) * STAGED_ROW)
 #define STAGED_SIZE (STAGED_PLANES * STAGED_PLANE)
 
 // --- WIDTH exponents at a time: load, sum, difference, product
@@ -159,6 +159,36 @@ INLINE void e_stage(const ereal e, __local staged_real* p)
 #endif
 }
 
+#ifdef SLICE
+// A staged number, the same for all rows.
+INLINE ereal e_staged(const __local staged_real* p)
+{
+#if PRECISE == 1
+    return e_constant(p[0], p[STAGED_PLANE]);
+#else
+    return (ereal)(p[0]);
+#endif
+}
+
+// WIDTH staged numbers.
+INLINE ereal e_unstage(const __local staged_real* p)
+{
+#if PRECISE == 1
+    ereal e;
+    HIGH(e) = VLOAD(0, p);
+    LOW(e) = VLOAD(0, p + STAGED_PLANE);
+    return e;
+#else
+    return VLOAD(0, p);
+#endif
+}
+
+// e_ij of WIDTH rows and staged column j, which stage_exponents (row_loop.cl) has formed.
+INLINE ereal exponent(const ereal* u, const __local staged_real* staged, const uint j)
+{
+    return u[j];
+}
+#else
 // e_ij of WIDTH rows and staged column j: sum_d u[d] staged[d][j] + staged[DIM][j]. The sum and the last
 // term are often large and of opposite signs, so that beginning with the last term would round more.
 INLINE ereal exponent(const ereal* u, const __local staged_real* staged, const uint j)
@@ -179,3 +209,4 @@ INLINE ereal exponent(const ereal* u, const __local staged_real* staged, const u
 #endif
     return e;
 }
+#endif

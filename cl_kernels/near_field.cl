@@ -30,6 +30,8 @@
 // Rounding of B, relative to the sum of its terms' sizes: half a square has 3, its place in the sums 4 + DIM.
 #define BOUND_ROUNDING ((DIM + 12) * 5.9604645e-8f) // 2^-24 for each of them, and a reserve
 #define BOUND_TERMS (3 * DIM + 1) // center, half sides and slopes of a tile, and its level: -r or A'
+#define BLOCK_ROWS 8              // largest number of row tiles of a block
+#define ROW_OF_BLOCK(row) min(first + (row), n_rows - 1)
 
 // One number of each of WIDTH tiles.
 INLINE vreal gathered(const __global float* plane, const uint* tiles)
@@ -45,7 +47,7 @@ __kernel void bound_tiles(
     const uint n_columns,                         // column tiles
     const uint block_rows,                        // row tiles of a block, but for the last one
     const uint first_block,                       // of this launch
-    const float k,
+    const float k, DIMENSION_ARGUMENT
     const __global float* restrict row_terms,     // (n_rows, BOUND_TERMS)
     const __global float* restrict column_terms,  // (BOUND_TERMS, n_columns)
     const __global uint* restrict lists,          // (blocks, 3): begin, length, and place of the first bound
@@ -60,39 +62,44 @@ __kernel void bound_tiles(
     uint tiles[WIDTH];
     for (uint lane = 0; lane < WIDTH; ++lane)
         tiles[lane] = numbers[list[0] + min(place + lane, length - 1)];
-    vreal q[DIM], sides[DIM], slopes[DIM];
-#pragma unroll
-    for (int d = 0; d < DIM; ++d) {
-        q[d] = gathered(column_terms + (size_t)d * n_columns, tiles);
-        sides[d] = gathered(column_terms + (size_t)(DIM + d) * n_columns, tiles);
-        slopes[d] = gathered(column_terms + (size_t)(2 * DIM + d) * n_columns, tiles);
-    }
-    const vreal level = gathered(column_terms + (size_t)(3 * DIM) * n_columns, tiles);
     const uint first = (first_block + get_global_id(1)) * block_rows;
-    const uint end = min(first + block_rows, n_rows);
-    for (uint row = first; row < end; ++row) {
-        const __global float* own = row_terms + (size_t)row * BOUND_TERMS;
-        vreal bound = level + own[3 * DIM];
-        vreal size = fabs(level) + fabs(own[3 * DIM]);
+    const vreal level = gathered(column_terms + (size_t)(3 * DIM) * n_columns, tiles);
+    vreal bound[BLOCK_ROWS], size[BLOCK_ROWS];
 #pragma unroll
-        for (int d = 0; d < DIM; ++d) {
+    for (uint row = 0; row < BLOCK_ROWS; ++row) {
+        const float own = row_terms[(size_t)ROW_OF_BLOCK(row) * BOUND_TERMS + 3 * DIM];
+        bound[row] = level + own;
+        size[row] = fabs(level) + fabs(own);
+    }
+    for (uint d = 0; d < DIM; ++d) {
+        const vreal q = gathered(column_terms + (size_t)d * n_columns, tiles);
+        const vreal sides = gathered(column_terms + (size_t)(DIM + d) * n_columns, tiles);
+        const vreal slopes = gathered(column_terms + (size_t)(2 * DIM + d) * n_columns, tiles);
+#pragma unroll
+        for (uint row = 0; row < BLOCK_ROWS; ++row) {
+            const __global float* own = row_terms + (size_t)ROW_OF_BLOCK(row) * BOUND_TERMS;
             const float half_side = own[DIM + d];
             const float slope = own[2 * DIM + d];
-            const vreal between = own[d] - q[d];
+            const vreal between = own[d] - q;
             const vreal half_square = 0.5f * between * between;
             const vreal reach = half_side * fabs(between + slope)
-                + sides[d] * (fabs(between - slopes[d]) + half_side);
-            bound += k * (reach - half_square);
-            size += k * (half_side * (fabs(between) + fabs(slope))
-                         + sides[d] * (fabs(between) + fabs(slopes[d]) + half_side) + half_square);
+                + sides * (fabs(between - slopes) + half_side);
+            bound[row] += k * (reach - half_square);
+            size[row] += k * (half_side * (fabs(between) + fabs(slope))
+                              + sides * (fabs(between) + fabs(slopes) + half_side) + half_square);
         }
-        bound += BOUND_ROUNDING * size;
-        __global float* to = bounds + list[2] + (size_t)(row - first) * length + place;
+    }
+#pragma unroll
+    for (uint row = 0; row < BLOCK_ROWS; ++row) {
+        if (row >= min(block_rows, n_rows - first))
+            break;
+        const vreal bounded = bound[row] + BOUND_ROUNDING * size[row];
+        __global float* to = bounds + list[2] + (size_t)row * length + place;
         if (place + WIDTH <= length) {
-            VSTORE(bound, 0, to);
+            VSTORE(bounded, 0, to);
         } else {
             float lanes[WIDTH];
-            VSTORE(bound, 0, lanes);
+            VSTORE(bounded, 0, lanes);
             for (uint lane = 0; lane < length - place; ++lane)
                 to[lane] = lanes[lane];
         }
@@ -108,7 +115,11 @@ __kernel void bound_tiles(
 
 // Columns that are looked at together. Where a work-item has a vector of rows for itself, a bound of WIDTH
 // columns over the box of these rows comes first.
+#ifdef SLICE
+#define BOUNDS_FIRST 0
+#else
 #define BOUNDS_FIRST (GROUP == 1 && WIDTH > 1)
+#endif
 #if BOUNDS_FIRST
 #define STEP WIDTH
 #else

@@ -11,6 +11,7 @@
 // Sum, first and second moments of each plan row, relative to its tile's center p:
 // with w_j = pi_ij / (the row's mass) the sums of w, w z and w z z^T, z = k (Y_j - p).
 #define MOMENTS (1 + DIM + DIM * (DIM + 1) / 2)
+#define MOMENT_AT(number) ((size_t)(number) * n_rows + local_row)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void plan_moments(
@@ -23,6 +24,50 @@ void plan_moments(
     ROW_SETUP;
     const vreal offset = VLOAD(row, row_offsets);
     const vreal offset_low = VLOAD((size_t)row_stride + row, row_offsets);
+#ifdef SLICE
+    // Moments stand in global memory, and columns are staged again, slice by slice, to be added to them.
+    if (!tiles_before)
+        for (uint m = 0; m < MOMENTS; ++m)
+            VSTORE((vreal)(0.0f), MOMENT_AT(m), moments);
+    for (uint n = first_tile; n < end_tile; ++n) {
+        if (IS_EMPTY(n, 0))
+            continue;
+        const uint q = STAGE_TILE(n);
+        vreal w[TILE];
+        for (uint j = 0; j < TILE; ++j)
+            w[j] = (vreal)(0.0f);
+        vreal of_tile = (vreal)(0.0f);
+        FOR_COLUMNS(OWN_MASK(n, 0), j)
+        {
+            w[j] = exp2_nonpositive(with_offset(u[j], offset, offset_low));
+            of_tile += w[j];
+        }
+        VSTORE(VLOAD(MOMENT_AT(0), moments) + of_tile, MOMENT_AT(0), moments);
+        for (uint first = 0; first < DIM; first += SLICE) {
+            const uint count = min((uint)SLICE, DIM - first);
+            STAGE_SLICE(q, first, count);
+            for (uint i = 0; i < count; ++i) {
+                const size_t d = first + i;
+                const size_t own = 1 + d * (d + 3) / 2; // of w z_d, before those of w z_d z_e
+                vreal wz[TILE];
+                vreal sum = (vreal)(0.0f);
+                for (uint j = 0; j < TILE; ++j) {
+                    wz[j] = w[j] * (float)staged[i * STAGED_ROW + j];
+                    sum += wz[j];
+                }
+                VSTORE(VLOAD(MOMENT_AT(own), moments) + sum, MOMENT_AT(own), moments);
+                for (uint e = 0; e <= d; ++e) {
+                    const float shift = row_centers[row_tile * DIM + e] - column_centers[q * DIM + e];
+                    const __global float* v = column_shifts + (size_t)e * column_stride + q * TILE;
+                    sum = (vreal)(0.0f);
+                    for (uint j = 0; j < TILE; ++j)
+                        sum += wz[j] * (k * (v[j] - shift));
+                    VSTORE(VLOAD(MOMENT_AT(own + 1 + e), moments) + sum, MOMENT_AT(own + 1 + e), moments);
+                }
+            }
+        }
+    }
+#else
     vreal total[MOMENTS];
     for (int m = 0; m < MOMENTS; ++m)
         total[m] = tiles_before ? VLOAD((size_t)m * n_rows + local_row, moments) : (vreal)(0.0f);
@@ -53,6 +98,7 @@ void plan_moments(
     }
     for (int m = 0; m < MOMENTS; ++m)
         VSTORE(total[m], (size_t)m * n_rows + local_row, moments);
+#endif
 }
 
 // Columns drawn from each plan row: the first whose running sum of w_j exceeds each of the

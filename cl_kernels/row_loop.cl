@@ -32,7 +32,10 @@
 // Units: coordinates in any unit, costs and potentials in that unit squared, k in its inverse;
 // exponents, levels and column logits h in powers of two (log2), as are row offsets.
 //
-// -D DIM     dimension of the points
+// -D DIM     dimension of the points; or
+// -D SLICE   coordinates that are staged at once, of points whose dimension is an argument of the kernel. The
+//            exponents of a tile of columns are then formed first, as a product of matrices, slice by slice, so
+//            that neither local memory nor registers limit the dimension.
 // -D TILE    points of one tile, a multiple of WIDTH * GROUP
 // -D GROUP   work-items of a work-group along dimension 0
 // -D STACKS  work-items along dimension 1 of a work-group, in kernels that read SHARE_SETUP: each has a share
@@ -51,8 +54,18 @@
 
 #include "common.cl"
 
+#ifdef SLICE
+#define DIM dimension
+#define DIMENSION_ARGUMENT const uint dimension,
+#define STAGED_COORDINATES (SLICE + 1) // the last row holds what sums in the row before have rounded off
+#define ROW_NUMBERS (TILE + MASKED) // exponents of a row; with MASKED also that of the column without mass
+#else
 #ifndef DIM
-#error "DIM (dimension of the points) must be given"
+#error "DIM (dimension of the points) or SLICE must be given"
+#endif
+#define DIMENSION_ARGUMENT
+#define STAGED_COORDINATES DIM
+#define ROW_NUMBERS DIM // coordinates of a row
 #endif
 #ifndef TILE
 #error "TILE (points of one tile) must be given"
@@ -106,7 +119,7 @@
 #define CLOUD_ARGUMENTS                                                                        \
     const uint first_row, const uint row_stride, const uint column_stride,                     \
     const uint n_column_tiles, const uint tiles_before, const uint most_tiles,                 \
-    const float k, const float k_low,                                                          \
+    const float k, const float k_low, DIMENSION_ARGUMENT                                       \
     const __global float* restrict row_shifts,        /* (PLANES, DIM, row_stride): u */       \
     const __global float* restrict row_centers,       /* (row_stride / TILE, DIM): p */        \
     const __global float* restrict column_shifts,     /* (PLANES, DIM, column_stride): v */    \
@@ -173,6 +186,7 @@ INLINE float largest_lane(const vreal v)
 #define TOPS_ARGUMENT
 #endif
 
+#ifndef SLICE
 // Put column tile q, recentered for the row tile, into local memory:
 // staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
 // The first barrier waits for the readers of the tile before, the last one for the writers.
@@ -228,6 +242,146 @@ INLINE void load_rows(
     for (int d = 0; d < DIM; ++d)
         u[d] = e_load(row_shifts + (size_t)d * row_stride + row, (size_t)DIM * row_stride);
 }
+#else
+#if !PRECISE
+// What a + b rounds off (Knuth).
+INLINE vreal lost_in_sum(const vreal a, const vreal b)
+{
+    const vreal sum = a + b;
+    const vreal added = sum - a;
+    return (a - (sum - added)) + (b - added);
+}
+#endif
+
+// Put `count` coordinates of column tile q, from `first` on, into local memory, as stage_columns does, and add
+// their share of (p - q).v - |v|^2 / 2 to staged[SLICE][j].
+INLINE void stage_slice(
+    const uint first, const uint count, const uint q, const uint row_tile, const uint dimension,
+    const uint column_stride, const ereal k, const __global float* row_centers,
+    const __global float* column_shifts, const __global float* column_centers,
+    __local staged_real* staged)
+{
+    GROUP_BARRIER();
+    for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
+        ereal quadratic = e_constant(0.0f, 0.0f);
+        for (uint d = 0; d < count; ++d) {
+            const ereal shift = e_sum(e_constant(row_centers[row_tile * dimension + first + d], 0.0f),
+                                      e_constant(-column_centers[q * dimension + first + d], 0.0f));
+            const ereal v = e_load(column_shifts + (size_t)(first + d) * column_stride + q * TILE + j,
+                                   (size_t)dimension * column_stride);
+            const ereal half_v = e_product(e_constant(-0.5f, 0.0f), v);
+            quadratic = e_sum(quadratic, e_product(v, e_sum(shift, half_v)));
+            e_stage(e_product(k, e_sum(v, e_negative(shift))), staged + d * STAGED_ROW + j);
+        }
+        __local staged_real* sum = staged + SLICE * STAGED_ROW + j;
+        __local staged_real* lost = sum + STAGED_ROW;
+#if PRECISE
+        e_stage(first ? e_sum(quadratic, e_unstage(sum)) : quadratic, sum);
+#else
+        const ereal before = first ? e_unstage(sum) : (ereal)(0.0f);
+        e_stage((first ? e_unstage(lost) : (ereal)(0.0f)) + lost_in_sum(before, quadratic), lost);
+        e_stage(before + quadratic, sum);
+#endif
+    }
+    GROUP_BARRIER();
+}
+
+// Columns whose exponents are formed together.
+#define DOT_COLUMNS (UNROLL < 8 ? UNROLL : 8)
+// Slices whose sums are added up in float32 before they join the total.
+#define RUN 8
+
+// The exponents e_ij of all columns j of tile q, for `blocks` groups of WIDTH rows: u[block][j]. Products are
+// added up in each slice, and slices in runs, so that long sums round less. Returns q.
+INLINE uint stage_exponents(
+    const uint q, const uint row_tile, const uint row, const int blocks, const uint dimension,
+    const uint row_stride, const uint column_stride, const uint level_plane, const ereal k,
+    const __global float* row_shifts, const __global float* row_centers,
+    const __global float* column_shifts, const __global float* column_centers,
+    const __global float* column_logits, const __global float* level,
+    __local staged_real* staged, ereal* u)
+{
+    for (int i = 0; i < blocks * ROW_NUMBERS; ++i)
+        u[i] = e_constant(0.0f, 0.0f);
+#if !PRECISE
+    ereal runs[BLOCKS * ROW_NUMBERS];
+    for (int i = 0; dimension > RUN * SLICE && i < blocks * ROW_NUMBERS; ++i)
+        runs[i] = u[i];
+#endif
+    for (uint first = 0; first < dimension; first += SLICE) {
+        const uint count = min((uint)SLICE, dimension - first);
+        stage_slice(first, count, q, row_tile, dimension, column_stride, k, row_centers, column_shifts,
+                    column_centers, staged);
+        for (int block = 0; block < blocks; ++block) {
+            ereal own[SLICE];
+            for (uint d = 0; d < count; ++d)
+                own[d] = e_load(row_shifts + (size_t)(first + d) * row_stride + row + block * (GROUP * WIDTH),
+                                (size_t)dimension * row_stride);
+            for (uint j = 0; j < TILE; j += DOT_COLUMNS) {
+                ereal even[DOT_COLUMNS], odd[DOT_COLUMNS];
+#pragma unroll
+                for (int c = 0; c < DOT_COLUMNS; ++c)
+                    even[c] = odd[c] = e_constant(0.0f, 0.0f);
+                uint d = 0;
+                for (; d + 1 < count; d += 2) {
+#pragma unroll
+                    for (int c = 0; c < DOT_COLUMNS; ++c) {
+                        const __local staged_real* column = staged + d * STAGED_ROW + j + c;
+                        even[c] = e_sum(even[c], e_product(own[d], e_staged(column)));
+                        odd[c] = e_sum(odd[c], e_product(own[d + 1], e_staged(column + STAGED_ROW)));
+                    }
+                }
+                if (d < count) {
+#pragma unroll
+                    for (int c = 0; c < DOT_COLUMNS; ++c)
+                        even[c] = e_sum(even[c], e_product(own[d], e_staged(staged + d * STAGED_ROW + j + c)));
+                }
+#pragma unroll
+                for (int c = 0; c < DOT_COLUMNS; ++c)
+                    u[block * ROW_NUMBERS + j + c] =
+                        e_sum(u[block * ROW_NUMBERS + j + c], e_sum(even[c], odd[c]));
+            }
+        }
+#if !PRECISE
+        for (int i = 0; dimension > RUN * SLICE && (first / SLICE) % RUN == RUN - 1
+                        && i < blocks * ROW_NUMBERS; ++i) {
+            runs[i] += u[i];
+            u[i] = (ereal)(0.0f);
+        }
+#endif
+    }
+#if !PRECISE
+    for (int i = 0; dimension > RUN * SLICE && i < blocks * ROW_NUMBERS; ++i)
+        u[i] += runs[i];
+#endif
+    const ereal level_pq = e_constant(level[0], level[(PLANES - 1) * level_plane]);
+    for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
+        __local staged_real* rest = staged + SLICE * STAGED_ROW + j;
+        const ereal h = e_load(column_logits + q * TILE + j, column_stride);
+        const ereal known = e_sum(h, level_pq);
+        const ereal scaled = e_product(k, e_unstage(rest));
+#if !PRECISE
+        // With what is rounded off: it would be much of the error, as this term and the product cancel.
+        const ereal lost = fma(k, e_unstage(rest), -scaled) + k * e_unstage(rest + STAGED_ROW);
+        e_stage(lost + lost_in_sum(h, level_pq) + lost_in_sum(known, scaled), rest + STAGED_ROW);
+#endif
+        e_stage(e_sum(known, scaled), rest);
+    }
+    GROUP_BARRIER();
+    for (int block = 0; block < blocks; ++block) {
+        for (uint j = 0; j < TILE; ++j) {
+            const __local staged_real* rest = staged + SLICE * STAGED_ROW + j;
+            u[block * ROW_NUMBERS + j] = e_sum(u[block * ROW_NUMBERS + j], e_staged(rest));
+#if !PRECISE
+            u[block * ROW_NUMBERS + j] += e_staged(rest + STAGED_ROW);
+#endif
+        }
+        for (uint j = TILE; j < ROW_NUMBERS; ++j) // the column without mass
+            u[block * ROW_NUMBERS + j] = e_constant(SENTINEL, 0.0f);
+    }
+    return q;
+}
+#endif
 
 // The staged tile of each stack. What the stacks read at once are different banks of local memory. Cards read
 // 16 bytes at a time.
@@ -253,15 +407,14 @@ INLINE void load_rows(
     const uint local_row = get_global_id(0) * WIDTH;                                           \
     const uint row = first_row + local_row;                                                    \
     TILE_SETUP(row);                                                                           \
-    ereal u[DIM];                                                                              \
-    load_rows(row_shifts, row_stride, row, u)
+    ereal u[ROW_NUMBERS];                                                                      \
+    OWN_ROWS(u, row, 1)
 
 // The same, with u of BLOCKS blocks of rows.
 #define BLOCK_SETUP                                                                            \
     TILE_SETUP(first_row + BLOCK_ROW(0));                                                      \
-    ereal u[BLOCKS][DIM];                                                                      \
-    for (int block = 0; block < BLOCKS; ++block)                                               \
-        load_rows(row_shifts, row_stride, first_row + BLOCK_ROW(block), u[block])
+    ereal u[BLOCKS][ROW_NUMBERS];                                                              \
+    OWN_ROWS(u[0], first_row + BLOCK_ROW(0), BLOCKS)
 
 #if TOPS
 #define STAGED_TOPS __local float tops[STACKS * GROUP]
@@ -295,11 +448,30 @@ INLINE vreal largest_exponents(
 #define TOPS_OF_STACK
 #endif
 
-// Stage the n-th column tile of the row tile, and return its number.
+// Stage the n-th column tile of the row tile, and return its number. With SLICE this puts the tile's exponents
+// into u, which holds the rows' coordinates otherwise.
+#ifdef SLICE
+#define OWN_ROWS(u, row, blocks)                                                               \
+    ereal* const own_exponents = u;                                                            \
+    const uint own_row = row;                                                                  \
+    const int own_blocks = blocks
+#define STAGE_TILE(n)                                                                          \
+    stage_exponents(TILE_AT(n), row_tile, own_row, own_blocks, dimension, row_stride,          \
+                    column_stride, LEVEL_PLANE, e_constant(k, k_low), row_shifts, row_centers, \
+                    column_shifts, column_centers, column_logits, own_levels + (n), staged,    \
+                    own_exponents)
+#define STAGE_SLICE(q, first, count)                                                           \
+    stage_slice(first, count, q, row_tile, dimension, column_stride, e_constant(k, k_low),     \
+                row_centers, column_shifts, column_centers, staged)
+#else
+#define OWN_ROWS(u, row, blocks)                                                               \
+    for (int block = 0; block < blocks; ++block)                                               \
+        load_rows(row_shifts, row_stride, row + block * (GROUP * WIDTH), u + block * DIM)
 #define STAGE_TILE(n)                                                                          \
     stage_columns(TILE_AT(n), row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),      \
                   row_centers, column_shifts, column_centers, column_logits,                   \
                   own_levels + (n), staged TOPS_OF_STACK)
+#endif
 
 #if MASKED
 // The mask of the n-th column tile for a block.
@@ -347,10 +519,12 @@ INLINE uint take_column(ulong* bits, const uint first)
 // Stage the column without mass. No tile overwrites it.
 INLINE void stage_empty_column(__local staged_real* staged)
 {
+#ifndef SLICE
     if (get_local_id(0) == 0) {
         for (int i = 0; i < STAGED_PLANES * (DIM + 1); ++i)
             staged[i * STAGED_ROW + TILE] = i == DIM ? SENTINEL : 0;
     }
+#endif
 }
 #else
 #define OWN_MASK(n, block) 0

@@ -220,7 +220,7 @@ def solve_sample(
     Parameters
     ----------
     X_a, X_b : (N, D) and (M, D) arrays
-        Samples, in 1 to 11 dimensions.
+        Samples, in 1 to 1,024 dimensions.
     a, b : (N,) and (M,) arrays, optional
         Weights; uniform with sum 1 if not given.
     metric : str

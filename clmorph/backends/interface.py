@@ -33,8 +33,10 @@ MAX_BATCH = 1 << 18
 MAX_SPREAD = 1e12
 #: The largest number of cells along an axis of a grid: a line is summed for each of its places.
 MAX_AXIS = 4096
-#: The largest dimension of points: a kernel keeps one register for each coordinate.
-MAX_DIMENSION = 11
+#: The largest dimension of points.
+MAX_DIMENSION = 1024
+#: The largest number of coordinates of lifted pictures: position, color, features and landmarks.
+MAX_LIFTED = 11
 
 #: The number of iterates that an accelerated iteration stores, the regularization of its
 #: least-squares problem, relative to the diagonal, and the share of the remaining residual that is

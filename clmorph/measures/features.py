@@ -13,7 +13,7 @@ from clmorph._shared.printable import reason_of
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import is_path
 from clmorph.backends.arrays import as_floats
-from clmorph.backends.interface import MAX_DIMENSION
+from clmorph.backends.interface import MAX_LIFTED
 from clmorph.errors import FileError, InputError
 from clmorph.images.label_maps import read_npy, reduced_values
 from clmorph.images.pixels import MAX_PIXELS, read_image
@@ -73,11 +73,11 @@ def with_features(
             f"feature_weight has {len(weights)} numbers, but there are {counts[0]} features: "
             "expected one for all, or one for each"
         )
-    room = MAX_DIMENSION - OWN
+    room = MAX_LIFTED - OWN
     if counts[0] > room:
         raise InputError(
             f"features have {counts[0]} coordinates: expected at most {room}, as the cost has "
-            f"{MAX_DIMENSION} in all and position and color take {OWN}; reduce them, by principal "
+            f"{MAX_LIFTED} in all and position and color take {OWN}; reduce them, by principal "
             "components for example"
         )
     with np.errstate(over="ignore", invalid="ignore"):  # too large ones are refused below

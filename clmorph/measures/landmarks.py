@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
-from clmorph.backends.interface import MAX_DIMENSION
+from clmorph.backends.interface import MAX_LIFTED
 from clmorph.errors import InputError
 from clmorph.measures.landmark_options import Landmarks
 from clmorph.measures.measure import Measure
@@ -71,7 +71,7 @@ def guided(
     warped, areas, missed = warp(*sides, source, target)
     masses = source.weights * areas
     total = masses.sum()
-    channels = _channels(sides[1], MAX_DIMENSION - source.points.shape[1])
+    channels = _channels(sides[1], MAX_LIFTED - source.points.shape[1])
     radius = bump_radius(source, target)
     return Guided(
         replace(
@@ -132,7 +132,7 @@ def _channels(places: Array, most: int) -> IntArray:
     """
     if most < 1:
         raise InputError(
-            f"landmarks need a coordinate of the cost, but it has {MAX_DIMENSION} at most, and all "
+            f"landmarks need a coordinate of the cost, but it has {MAX_LIFTED} at most, and all "
             "are taken: give fewer features"
         )
     if len(places) <= most:

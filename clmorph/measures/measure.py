@@ -9,7 +9,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import shown
-from clmorph.backends.interface import MAX_DIMENSION
+from clmorph.backends.interface import MAX_LIFTED
 from clmorph.errors import InputError
 from clmorph.images.color import square_root, to_space
 from clmorph.measures.options import LiftOptions
@@ -157,7 +157,7 @@ def check_measure(name: str, measure: Measure) -> None:
     if measure.features is not None:
         given = measure.features if type(measure.features) is np.ndarray else np.empty(0)
         count = given.shape[1] if given.ndim == 2 else 1
-        shapes["features"] = (n, min(max(1, count), MAX_DIMENSION - 5))
+        shapes["features"] = (n, min(max(1, count), MAX_LIFTED - 5))
     for part, shape in shapes.items():
         array = getattr(measure, part)
         usable = type(array) is np.ndarray and array.dtype == np.float64 and array.shape == shape

@@ -1,4 +1,4 @@
-"""Weighted points that are not an image, in any dimension up to 11 and any unit."""
+"""Weighted points that are not an image, in any dimension up to 1,024 and any unit."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class WeightedPoints:
     Attributes
     ----------
     points : (N, D) array
-        Finite coordinates in any unit, D from 1 to 11; `blur` and `reach` have the same unit. Any
-        array that `clmorph.backends.arrays.as_array` takes.
+        Finite coordinates in any unit, D from 1 to 1,024; `blur` and `reach` have the same unit.
+        Any array that `clmorph.backends.arrays.as_array` takes.
     weights : (N,) array
         Masses a_i, at least 0, of positive sum.
     offsets : (N,) array, optional

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clmorph.backends.interface import MAX_DIMENSION, Operations
+from clmorph.backends.interface import MAX_LIFTED, Operations
 from clmorph.errors import InputError, MemoryWarning, PruningWarning
 from clmorph.images.label_maps import label_text
 from clmorph.measures.measure import Measure
@@ -185,7 +185,7 @@ def _has_opacity(source: PixelBlocks, target: PixelBlocks) -> bool:
 def dimension_of(measure: Measure) -> int:
     """Return the number of coordinates of the cost between an image and another one."""
     if measure.has_metric_map:
-        return MAX_DIMENSION
+        return MAX_LIFTED
     return 5 + (0 if measure.features is None else measure.features.shape[1])
 
 

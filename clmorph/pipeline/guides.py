@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clmorph.backends.interface import MAX_DIMENSION
+from clmorph.backends.interface import MAX_LIFTED
 from clmorph.errors import InputError
 from clmorph.images.finding.common import Finder, figures
 from clmorph.measures.landmark_options import AUTO, MAX_LANDMARKS, Landmarks, is_for_several
@@ -94,7 +94,7 @@ def _has_room(maps: Maps) -> bool:
     except ValueError:  # lists that differ in length
         return False
     counts = [shape[2] if len(shape) == 3 else 1 for shape in shapes]
-    return max(counts, default=0) < MAX_DIMENSION - PLAIN
+    return max(counts, default=0) < MAX_LIFTED - PLAIN
 
 
 def _found(finder: Finder, images: Sequence[Picture], pair: tuple[int, int]) -> tuple[Any, str]:

@@ -73,7 +73,7 @@ def sinkhorn(
     Parameters
     ----------
     source, target : Measure, Grid, WeightedPoints, (weights (N,), points (N, D)), or (N, D) array
-        Both in one space, with D from 1 to 11. Weights may be zero, and their sums may differ.
+        Both in one space, with D from 1 to 1,024. Weights may be zero, and their sums may differ.
         Points alone weigh 1 / N each.
     blur : float, optional
         Entropic length scale, in the points' unit (for images: the longer side); 0.03 if neither
@@ -109,12 +109,13 @@ def sinkhorn(
         A function that is called with the share of the work that is done, from 0 to 1.
     multiscale : {"auto", True, False}
         Whether the problem is solved through coarser problems (`_solver.multiscale`). "auto" means
-        True with 2^27 pairs of points or more. `n_iter` counts the iterations over the points.
+        True with 2^27 pairs of points or more in up to 11 dimensions. `n_iter` counts the
+        iterations over the points.
     truncation : float, "auto" or None
         Largest error, in nats, that the logarithm of a row's or column's sum may have because far
         pairs are left out; it is proven and must be less than `tol`. `truncation_error` of the
-        result is its bound. "auto" is tol / 10 with 2^27 pairs or more, else None. None sums all
-        pairs.
+        result is its bound. "auto" is tol / 10 where `multiscale="auto"` means True, else None.
+        None sums all pairs.
     verify : bool
         Whether, with truncation, the last two softmins are computed once more over all pairs. The
         residual and the certificate are then those without truncation.

@@ -303,12 +303,11 @@ class NumPyOperations:
             share = np.exp(exponents + softmin[block, None] / epsilon)
             share /= share.sum(axis=1, keepdims=True)
             mean[block] = share @ columns.points
+            middle = columns.points.mean(axis=0)
             for d in range(dimension):
-                for e in range(dimension):
-                    product = (columns.points[:, d] - mean[block, d, None]) * (
-                        columns.points[:, e] - mean[block, e, None]
-                    )
-                    covariance[block, d, e] = (share * product).sum(axis=1)
+                off = share * (columns.points[:, d] - mean[block, d, None])
+                covariance[block, d] = off @ (columns.points - middle)
+                covariance[block, d] -= off.sum(axis=1)[:, None] * (mean[block] - middle)
         return mean, covariance
 
     def sample_plan_rows(

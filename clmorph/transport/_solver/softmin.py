@@ -14,6 +14,9 @@ from clmorph.errors import InputError
 #: Problems with at least this many pairs of points are solved through coarser problems, and with
 #: truncated sums, unless the caller chooses otherwise.
 MANY_PAIRS = 1 << 27
+#: In more dimensions than this, near pairs and clusters save little: boxes bound distances badly,
+#: and points have few neighbors. Such a problem is solved so only where the caller chooses it.
+FEW_DIMENSIONS = 11
 #: Devices other than processors sum as many times more pairs in the time in which a processor, of
 #: this many pairs a second, sums so many.
 USUAL_RATE = 5e9

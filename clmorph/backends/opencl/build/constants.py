@@ -29,6 +29,10 @@ MAX_EXPONENT_OF_PAIRS = 70.0
 SEED_LEAF, SEED_WAYS = 8, 4
 
 
+#: From this dimension on a tile's exponents are formed slice by slice, `SLICE` coordinates at once:
+#: programs are then the same for all dimensions, and are built as for this one.
+SLICED_FROM, SLICE = 12, 16
+
 #: The largest number of registers for the coordinates of a work-item's rows, where it has several.
 ROW_REGISTERS = 24
 
@@ -92,6 +96,8 @@ class BuildConstants:
 
         Each has the `rows` of as many work-items, if registers suffice, and a share of the columns.
         """
+        if dimension >= SLICED_FROM:
+            return 1
         registers = self.width * dimension * (2 if precise else 1)
         most = min(self.group, self.rows // self.width, ROW_REGISTERS // registers)
         return 1 << max(0, most.bit_length() - 1)
@@ -117,7 +123,8 @@ class BuildConstants:
         columns that masks choose. `bounded` sums have a proven error bound, which needs precise
         exponents: as exact as the exponents (1), or with powers in float32, and with exponents in
         float32 between chosen pairs of tiles (2). Without float64, 2 is 1. With `in_blocks`
-        work-items take `blocks` groups of rows. With `stacks` they take the rows of as many.
+        work-items take `blocks` groups of rows. With `stacks` they take the rows of as many. From
+        `SLICED_FROM` on the dimension is an argument of the kernels.
         """
         bounded = min(int(bounded), self.precise)
         unroll = min(self.unroll, PRECISE_UNROLL) if precise else self.unroll
@@ -126,7 +133,7 @@ class BuildConstants:
             "BOUNDED": bounded,
             **({"FLOAT32_UNROLL": self.unroll} if bounded == 2 else {}),
             **({"MASKED": 1, "MASKED_UNROLL": min(unroll, MASKED_UNROLL)} if masked else {}),
-            "DIM": dimension,
+            **({"SLICE": SLICE} if dimension >= SLICED_FROM else {"DIM": dimension}),
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group // stacks,
             "LISTED": int(listed),

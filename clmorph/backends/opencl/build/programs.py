@@ -76,7 +76,8 @@ class Programs:
                 f"{self._name()} fails with its tuned build: {reason}; the tuning is now "
                 "forgotten: start again, and the build for this kind of device is used"
             )
-        if not verdicts.condemns(reason, variant.is_optional):
+        # Programs for many dimensions say nothing of those for few, which morphs use.
+        if variant.is_sliced or not verdicts.condemns(reason, variant.is_optional):
             raise ProgramError(f"{self._name()} cannot run this: {reason}; {_ADVICE}")
         if self._chosen:
             mark_unusable(self._device, reason)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from clmorph.backends.opencl.build.constants import BuildConstants
+from clmorph.backends.opencl.build.constants import SLICED_FROM, BuildConstants
 from clmorph.backends.opencl.build.kernel_files import KERNELS as KERNELS
 from clmorph.backends.opencl.devices.verdicts import OPTIONAL
 
@@ -12,7 +12,8 @@ class Variant:
     """A kernel file, and what its macros depend on beside the build constants."""
 
     file: str
-    #: Dimension of the points, for the files that include the row loop; 0 for others.
+    #: Dimension of the points, for the files that include the row loop; 0 for others. Variants for
+    #: `SLICED_FROM` serve all larger dimensions, too.
     dimension: int = 0
     #: These and the following ones are explained in `BuildConstants.row_macros`.
     precise: bool = False
@@ -24,9 +25,17 @@ class Variant:
     def in_blocks(self) -> bool:
         """Whether work-items take several groups of rows: where sums have chosen columns.
 
-        Such problems have rows enough for all of a device's cores.
+        Such problems have rows enough for all of a device's cores. So do they where columns have
+        many coordinates, which it takes time to stage.
         """
-        return self.file == "near_field.cl" or (self.file == "log_sum_exp.cl" and self.masked)
+        if self.file == "near_field.cl":
+            return True
+        return self.file == "log_sum_exp.cl" and (self.masked or self.is_sliced)
+
+    @property
+    def is_sliced(self) -> bool:
+        """Whether the dimension is an argument of the kernels."""
+        return self.dimension >= SLICED_FROM
 
     def stacks(self, constants: BuildConstants) -> int:
         """Return how many work-items of a group share their rows."""
@@ -117,6 +126,8 @@ def all_variants(dimension: int = 5) -> tuple[Variant, ...]:
     softmins = [(False, False, 0), (False, True, 0), (True, False, 0), (True, True, 0)]
     softmins += [(True, False, 1), (True, True, 1)]
     masked = [(False, True, 0), (True, True, 0), (True, True, 1), (True, True, 2)]
+    if dimension >= SLICED_FROM:
+        masked.pop()  # all exponents of a tile are formed in one precision
     made = [Variant("log_sum_exp.cl", dimension, *kind) for kind in softmins]
     made += [Variant("log_sum_exp.cl", dimension, *kind, masked=True) for kind in masked]
     made.append(Variant("near_field.cl", dimension, listed=True))
@@ -134,10 +145,17 @@ def all_variants(dimension: int = 5) -> tuple[Variant, ...]:
 def used_together(variant: Variant) -> tuple[Variant, ...]:
     """Return the variants that one morph uses, with this one among them; else this one alone.
 
-    Iterations need none of the others.
+    Iterations need none of the others. In many dimensions they are those of a solve.
     """
     if variant.is_optional:
         return (variant,)
     dimension = variant.dimension or 5
+    if variant.is_sliced:
+        # What a solve uses, beside what morphs use, too.
+        solve = (
+            Variant("log_sum_exp.cl", dimension),
+            Variant("log_sum_exp.cl", dimension, precise=True, bounded=1),
+        )
+        return solve if variant in solve else (variant,)
     groups = usual_variants(dimension), further_variants(dimension)
     return next((group for group in groups if variant in group), (variant,))

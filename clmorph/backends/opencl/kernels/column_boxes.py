@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pyopencl as cl
 
-from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.build.constants import SENTINEL, SLICED_FROM
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.records import Float64
@@ -34,7 +34,7 @@ def column_boxes(
     `tile_max`, (tiles,), is the largest of them in each tile, which logits on the device leave out.
     """
     work, constants = loop.work, loop.constants
-    if not constants.bounds_first:
+    if not constants.bounds_first or columns.centers.shape[1] >= SLICED_FROM:
         return ColumnBoxes(*(work.empty(4) for _ in ColumnBoxes._fields))
     shifts = columns.shifts
     tiles, _, dimension = shifts.shape

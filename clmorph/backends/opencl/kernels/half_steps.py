@@ -8,7 +8,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import MEMORY
-from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.build.constants import SENTINEL, SLICED_FROM
 from clmorph.backends.opencl.build.half_step_slots import (
     COLUMN_SLOTS,
     GIVEN,
@@ -27,7 +27,7 @@ from clmorph.backends.opencl.kernels.resident_iteration import (
     ResidentSteps,
     Slots,
 )
-from clmorph.backends.opencl.kernels.row_loop import KEPT_LEVELS, LOG2_E, RowLoop
+from clmorph.backends.opencl.kernels.row_loop import KEPT_LEVELS, LOG2_E, RowLoop, work_of_pair
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
 from clmorph.backends.records import Float64
 
@@ -59,11 +59,12 @@ ARGUMENTS = {
 }  # fmt: skip
 
 
-def _arguments(listed: bool) -> dict[str, tuple[str, ...]]:
+def _arguments(listed: bool, sliced: bool) -> dict[str, tuple[str, ...]]:
     """Return the arguments of all kernels; softmins of many problems see listed tiles."""
     softmins = {
         own: (
             "none", n, m, f"{other}_tiles", "none", f"{other}_tiles", "k_high", "k_low",
+            *(("dimension",) if sliced else ()),
             f"{own}_shifts", f"{own}_centers", f"{other}_shifts", f"{other}_centers", *_LOGITS,
             *(("n_listed", f"{own}_starts", f"{own}_listed") if listed else ()),
             n, "maxima", "sums",
@@ -101,7 +102,8 @@ class HalfSteps(ResidentSteps):
     ) -> DeviceIteration | None:  # fmt: skip
         """Put the vectors of an iteration on the device, or return None."""
         tiles = len(rows.centers), len(columns.centers)
-        if tiles[0] * tiles[1] > KEPT_LEVELS or not self._fits(rows.stride * columns.stride):
+        n_pairs = rows.stride * columns.stride * work_of_pair(rows)
+        if tiles[0] * tiles[1] > KEPT_LEVELS or not self._fits(n_pairs):
             return None
         costs = center_costs(rows.centers[:, None], columns.centers)
         masses = weights[0][rows.order], weights[1][columns.order]
@@ -125,7 +127,7 @@ class HalfSteps(ResidentSteps):
     ) -> DeviceIteration | None:  # fmt: skip
         """Put the vectors of iterations of many problems on the device, or return None."""
         tile, sides = self._loop.constants.tile, (rows, columns)
-        if not self._fits(rows.tiles * columns.tiles * tile**2):
+        if not self._fits(rows.tiles * columns.tiles * tile**2 * work_of_pair(rows.cloud)):
             return None
         masses = []
         for side, own in zip(sides, weights, strict=True):
@@ -220,8 +222,8 @@ class HalfSteps(ResidentSteps):
             "numbers": 8 * len(NUMBERS) * count,
         }  # fmt: skip
         numbers = {
-            "none": 0, "n": rows.stride, "m": columns.stride, "row_tiles": tiles[0],
-            "column_tiles": tiles[1], "row_shares": shares[0], "column_shares": shares[1],
+            "none": 0, "dimension": rows.centers.shape[1], "n": rows.stride, "m": columns.stride,
+            "row_tiles": tiles[0], "column_tiles": tiles[1], "row_shares": shares[0], "column_shares": shares[1],
         }  # fmt: skip
         return {
             **{name: work.empty(size) for name, size in n_bytes.items()},
@@ -285,7 +287,7 @@ class HalfSteps(ResidentSteps):
 
     def _kernels(self, iteration: DeviceIteration) -> BoundKernels:
         rows, precise = iteration.sides[0], iteration.precise
-        dimension = rows.centers.shape[1]
+        dimension = min(rows.centers.shape[1], SLICED_FROM)
         listed = isinstance(iteration, BatchIteration)
         programs, key = self._loop.programs, (dimension, precise, listed)
         if key not in self._bound:
@@ -294,7 +296,9 @@ class HalfSteps(ResidentSteps):
                 own = programs.kernels(Variant("log_sum_exp.cl", dimension, precise, listed))
                 kernels[side] = own["log_sum_exp"]
             budget = self._loop.budget(self._softmin_kernel(iteration))
-            self._bound[key] = BoundKernels(kernels, _arguments(listed), budget)
+            self._bound[key] = BoundKernels(
+                kernels, _arguments(listed, dimension == SLICED_FROM), budget
+            )
         return self._bound[key]
 
     def _scalars(self, iteration: DeviceIteration) -> dict[str, Any]:

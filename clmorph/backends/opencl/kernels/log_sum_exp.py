@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.build.constants import SENTINEL, SLICED_FROM
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.rounding_bounds import (
     LARGEST_MAXIMUM,
@@ -53,7 +53,8 @@ class LogSumExp:
         """
         constants, k = self._loop.constants, LOG2_E / epsilon
         pairs, float32 = None if near is None else near.pairs, None
-        if pairs is not None and constants.precise == 2:
+        few = columns.centers.shape[1] < SLICED_FROM  # coordinates
+        if pairs is not None and constants.precise == 2 and few:
             powers = float32_powers_bound(columns.stride, USUAL_SUM, constants.unroll)
             if powers <= enough:
                 values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights

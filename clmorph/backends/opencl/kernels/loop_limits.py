@@ -10,6 +10,7 @@ import sys
 from clmorph.backends.opencl.build.constants import (
     SEED_LEAF,
     SEED_WAYS,
+    SLICED_FROM,
     STORED_UNROLL,
     BuildConstants,
 )
@@ -25,6 +26,10 @@ def column_tiles(constants: BuildConstants, dimension: int) -> int:
     if not constants.longest_loop:
         return NO_LIMIT
     width, items, tile = constants.width, constants.group, constants.tile
+    if dimension >= SLICED_FROM:
+        # The loops over the coordinates of moments, the longest ones, and the staging of slices.
+        in_tile = tile * (dimension + 2) * (dimension + 4 + width // items)
+        return max(1, constants.longest_loop // (2 * in_tile))
     moments = 1 + dimension + dimension * (dimension + 1) // 2
     staging = tile // (items * width) * (dimension + 2) + dimension + 3
     column = 3 * dimension + 6 + moments + 2 * width

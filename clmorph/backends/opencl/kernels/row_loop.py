@@ -7,7 +7,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
+from clmorph.backends.opencl.build.constants import SENTINEL, SLICED_FROM, BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
@@ -63,7 +63,8 @@ class RowLoop:
 
         Its file is built at the first call; for other arguments see `BuildConstants.row_macros`.
         """
-        variant = Variant(file, rows.centers.shape[1], precise, listed, bounded, masked)
+        dimension = min(rows.centers.shape[1], SLICED_FROM)
+        variant = Variant(file, dimension, precise, listed, bounded, masked)
         if variant not in self._kernels:
             self._kernels[variant] = self.programs.kernels(variant)
             blocks = self.constants.blocks if variant.in_blocks else 1
@@ -232,7 +233,7 @@ class RowLoop:
         if counts is not None:
             kept = counts.reshape(n_tiles, -1).sum(axis=1, dtype=np.int64).cumsum()
         while first < end:
-            budget = self.budget(kernel).pairs() * windows
+            budget = self.budget(kernel).pairs() * windows // work_of_pair(rows)
             if pairs is None:
                 stop = first + max(1, int(budget // (tile * columns.stride)))
             else:
@@ -326,16 +327,27 @@ class RowLoop:
         if windows > 1:
             at_once = loop_limits.column_tiles(self.constants, columns.centers.shape[1])
         for window in range(windows):
-            with self.budget(kernel).measure(work // windows):
+            with self.budget(kernel).measure(work // windows * work_of_pair(rows)):
                 self.work.launch(
                     kernel, *self.launch_size(kernel, n_rows, shares or 1),
                     np.uint32(part.start * self.constants.tile), np.uint32(rows.stride),
                     np.uint32(columns.stride), np.uint32(len(columns.centers)),
                     np.uint32(window * at_once), np.uint32(at_once), *split(np.asarray(k)),
-                    rows.shifts_buffer, rows.centers_buffer, columns.shifts_buffer,
-                    columns.centers_buffer, exponents.column_logits, levels_buffer, *lists,
+                    *dimension_argument(rows), rows.shifts_buffer, rows.centers_buffer,
+                    columns.shifts_buffer, columns.centers_buffer, exponents.column_logits, levels_buffer, *lists,
                     *arguments, results=results if window + 1 == windows else (),
                 )  # fmt: skip
+
+
+def work_of_pair(cloud: Cloud) -> int:
+    """Return about how many times as long a pair takes as one with few coordinates."""
+    return max(1, int(cloud.centers.shape[1]) // SLICED_FROM)
+
+
+def dimension_argument(cloud: Cloud) -> tuple[np.uint32, ...]:
+    """Return the kernels' DIMENSION_ARGUMENT for points of a cloud."""
+    dimension = cloud.centers.shape[1]
+    return (np.uint32(dimension),) if dimension >= SLICED_FROM else ()
 
 
 def _levels(row_centers: Float64, column_centers: Float64, tile_max: Float64, k: float) -> Float64:

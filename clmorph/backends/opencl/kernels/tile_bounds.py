@@ -8,7 +8,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS, Cloud
-from clmorph.backends.opencl.kernels.row_loop import RowLoop
+from clmorph.backends.opencl.kernels.row_loop import RowLoop, dimension_argument
 from clmorph.backends.opencl.kernels.tile_pairs import TileBounds
 
 #: The largest number of bounds that one launch writes, unless a single block has more.
@@ -75,6 +75,7 @@ class TileBoundKernel:
         """
         n_rows, n_columns = (len(terms.level) for terms in sides[0])
         kernel = self._loop.kernel("near_field.cl", "bound_tiles", cloud, listed=True)
+        dimension = dimension_argument(cloud)
         budget = self._loop.budget(kernel)
         buffers = [self._buffers(*side) for side in sides]
         for of_blocks, numbers, begins, lengths in lists:
@@ -95,8 +96,8 @@ class TileBoundKernel:
                 )
                 block = of_blocks + first
                 values = self._launch(
-                    kernel, (n_rows, n_columns), block, k, buffers, table, numbers[listed],
-                    int(done[stop] - done[first]),
+                    kernel, (n_rows, n_columns), block, k, dimension, buffers, table,
+                    numbers[listed], int(done[stop] - done[first]),
                 )  # fmt: skip
                 starts = np.concatenate(([0], np.cumsum(np.repeat(lengths[own], rows_of[own]))))
                 begin = block * WIDTH_OF_GROUPS
@@ -120,6 +121,7 @@ class TileBoundKernel:
         shape: tuple[int, int],
         first: int,
         k: float,
+        dimension: tuple[np.uint32, ...],
         sides: list[tuple[cl.Buffer, cl.Buffer]],
         table: NDArray[np.int64],
         numbers: NDArray[np.uint32],
@@ -141,7 +143,7 @@ class TileBoundKernel:
             with self._loop.budget(kernel).measure(count):
                 work.launch(
                     kernel, size, None, *map(np.uint32, (*shape, WIDTH_OF_GROUPS, first)),
-                    np.float32(k), *terms, *lists, out,
+                    np.float32(k), *dimension, *terms, *lists, out,
                     results=((found, out),),
                 )  # fmt: skip
             result = found if result is None else np.maximum(result, found, out=result)

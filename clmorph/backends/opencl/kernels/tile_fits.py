@@ -5,6 +5,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.backends.opencl.build.constants import SLICED_FROM
 from clmorph.backends.records import Float64
 
 #: Added to the normal equations, relative to their trace: points of a tile may lie in a plane.
@@ -32,8 +33,11 @@ class TileFits:
     def slopes(self, values: Float64, present: NDArray[np.bool_]) -> Float64:
         """Return the least-squares slopes of values over present points: (tiles, D) array.
 
-        They are exact in float32; `values` and `present` are (tiles, tile) arrays.
+        They are exact in float32; `values` and `present` are (tiles, tile) arrays. In many
+        dimensions, where a tile has hardly more points than slopes, they are 0.
         """
+        if self._shifts.shape[2] >= SLICED_FROM:
+            return np.zeros((len(values), self._shifts.shape[2]))
         centered = (values - values.mean(axis=1, keepdims=True)).astype(np.float32)
         slopes = np.einsum("ndt,nt->nd", self._of_values, centered)
         some = np.flatnonzero(~present.all(axis=1))

@@ -10,6 +10,7 @@ import numpy as np
 
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.opencl.build.constants import SLICED_FROM
 from clmorph.backends.opencl.build.variants import KERNELS, Variant
 from clmorph.backends.opencl.verification.findings import Finding, largest
 from clmorph.backends.records import Float64
@@ -21,6 +22,9 @@ Run = Callable[["Bench", Variant], Findings]
 
 #: The dimension of the points for the checks of files that are built for all dimensions.
 DIMENSION = 5
+#: Dimensions for the checks of programs that serve many, beside the least one: some slices of
+#: coordinates and a part of one, and more than a run of slices (``cl_kernels/row_loop.cl``).
+SLICES = 37, 150
 #: The share of a row's sum that lists of near pairs may leave out, and what may come of it.
 BUDGET = 1e-5
 LEFT_OUT = 1.5 * BUDGET
@@ -79,11 +83,14 @@ class Bench:
         Loops over long rows have more than 2^16 rounds, before which some drivers end them.
         """
         dimension = dimension or DIMENSION
-        sizes = [(150, 331, ""), (5, columns, ", long rows")][: 1 if listed else 2]
+        columns = max(331, min(columns, columns * SLICED_FROM // dimension))
+        sizes = [(dimension, 150, 331, ""), (dimension, 5, columns, ", long rows")]
+        if dimension == SLICED_FROM:
+            sizes[:1] = [(SLICES[0], 150, 331, ""), (SLICES[1], 70, 133, "")]
         own = [
-            Clouds(self, clustered(dimension, n, 2 * k + 1), clustered(dimension, m, 2 * k + 2),
-                   0.004, f", {dimension}D{name}")
-            for k, (n, m, name) in enumerate(sizes)
+            Clouds(self, clustered(d, n, 2 * k + 1), clustered(d, m, 2 * k + 2),
+                   0.004, f", {d}D{name}")
+            for k, (d, n, m, name) in enumerate(sizes[:-1] if listed else sizes)
         ]  # fmt: skip
         return own + (self.lifted if dimension == DIMENSION else [])
 
@@ -205,6 +212,11 @@ class Clouds:
     def near(self) -> Any:
         """Near pairs of the rows, by the backend."""
         return self.operations.near_pairs(*self.ours, self.g, self.softmin, self.epsilon, BUDGET)
+
+    @cached_property
+    def mean(self) -> Float64:
+        """Mean of each row's destinations, by NumPy."""
+        return self.exact.barycentric_projection(*self.theirs, self.g, self.epsilon)[1]
 
     def tolerance(self, precise: bool = False) -> float:
         """Return the tolerated error of a log-sum-exp, in nats."""

@@ -56,7 +56,8 @@ def _bounded(case: Clouds, variant: Variant) -> Findings:
 def _row_maxima(case: Clouds) -> Findings:
     got = case.operations.row_maxima(*case.ours, case.g, case.epsilon)
     want = case.exact.row_maxima(*case.theirs, case.g, case.epsilon)
-    yield case.finding("row_maxima", largest(got - want), case.tolerance())
+    # The errors of single exponents, unlike those of sums, do not cancel in part.
+    yield case.finding("row_maxima", largest(got - want), 1.5 * case.tolerance())
 
 
 def _offsets(case: Clouds) -> Findings:
@@ -104,7 +105,7 @@ def projections(bench: Bench, variant: Variant) -> Findings:
         softmin, mean = case.operations.barycentric_projection(
             *case.ours, case.g, case.epsilon, precise, near
         )
-        off = largest(mean - case.moments[0]) / (2 * case.size)
+        off = largest(mean - case.mean) / (2 * case.size)
         for name, error, allowed, unit in (
             ("softmin", case.off(softmin, near), case.tolerance(precise), "nats"),
             ("mean", off, _of_moments(case, variant), OF_SIZE),
