@@ -58,7 +58,8 @@ def test_operations(variant, dimension):
 def test_a_common_offset_or_another_unit_rounds_nothing(variant, dimension):
     for place, (precise, bounded) in product(PLACES, ((False, 0), (True, 0), (True, 1))):
         expect(
-            Small(variant, place=place), Variant("log_sum_exp.cl", dimension, precise, False, bounded)
+            Small(variant, place=place),
+            Variant("log_sum_exp.cl", dimension, precise, False, bounded),
         )
 
 

@@ -223,7 +223,8 @@ class HalfSteps(ResidentSteps):
         }  # fmt: skip
         numbers = {
             "none": 0, "dimension": rows.centers.shape[1], "n": rows.stride, "m": columns.stride,
-            "row_tiles": tiles[0], "column_tiles": tiles[1], "row_shares": shares[0], "column_shares": shares[1],
+            "row_tiles": tiles[0], "column_tiles": tiles[1],
+            "row_shares": shares[0], "column_shares": shares[1],
         }  # fmt: skip
         return {
             **{name: work.empty(size) for name, size in n_bytes.items()},

@@ -334,8 +334,9 @@ class RowLoop:
                     np.uint32(columns.stride), np.uint32(len(columns.centers)),
                     np.uint32(window * at_once), np.uint32(at_once), *split(np.asarray(k)),
                     *dimension_argument(rows), rows.shifts_buffer, rows.centers_buffer,
-                    columns.shifts_buffer, columns.centers_buffer, exponents.column_logits, levels_buffer, *lists,
-                    *arguments, results=results if window + 1 == windows else (),
+                    columns.shifts_buffer, columns.centers_buffer, exponents.column_logits,
+                    levels_buffer, *lists, *arguments,
+                    results=results if window + 1 == windows else (),
                 )  # fmt: skip
 
 
