@@ -24,7 +24,7 @@
     !ANY(!(largest_exponents(u[block], own[block], q, row_tile, k, row_centers, column_centers     \
                              TOPS_OF_STACK) <= m[block]))
 #else
-#define IS_BELOW(block) false
+#define IS_BELOW(block) ((void)q, false)
 #endif
 
 // Online maximum m_i = max_j reference_for(e_ij) and s_i = sum_j 2^(e_ij - m_i), over the column tiles

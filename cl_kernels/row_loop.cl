@@ -274,10 +274,10 @@ INLINE void stage_slice(
             e_stage(e_product(k, e_sum(v, e_negative(shift))), staged + d * STAGED_ROW + j);
         }
         __local staged_real* sum = staged + SLICE * STAGED_ROW + j;
-        __local staged_real* lost = sum + STAGED_ROW;
 #if PRECISE
         e_stage(first ? e_sum(quadratic, e_unstage(sum)) : quadratic, sum);
 #else
+        __local staged_real* lost = sum + STAGED_ROW;
         const ereal before = first ? e_unstage(sum) : (ereal)(0.0f);
         e_stage((first ? e_unstage(lost) : (ereal)(0.0f)) + lost_in_sum(before, quadratic), lost);
         e_stage(before + quadratic, sum);

@@ -13,9 +13,14 @@ import pytest
 from programs import program
 
 from clmorph import cl_kernels
-from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
+from clmorph.backends.opencl.build.constants import (
+    SLICED_FROM,
+    cpu_constants,
+    gpu_constants,
+    lanes_constants,
+)
 from clmorph.backends.opencl.build.program import build_options, source
-from clmorph.backends.opencl.build.variants import KERNELS, Variant
+from clmorph.backends.opencl.build.variants import KERNELS, Variant, all_variants
 
 FOLDER = Path(cl_kernels.__file__).parent
 
@@ -61,6 +66,7 @@ VARIANTS = [
         Variant("log_sum_exp.cl", 6, precise, True, bounded, masked=True)
         for precise, bounded in ((False, 0), (True, 0), (True, 1), (True, 2))
     ),
+    *(variant for variant in all_variants(SLICED_FROM)[::3] if variant.dimension),
 ]
 
 
