@@ -334,9 +334,38 @@ def test_a_crash_or_a_hang_in_an_optional_program_costs_only_itself(one, empty, 
     assert of_device(one) is None
 
 
+@pytest.mark.parametrize("status", [-6, None, 3])
+def test_a_trial_that_ends_in_an_optional_program_counts(empty, status):
+    """Its check comes after the verdict."""
+    lines = [LOADED, f"{trial.VERDICT} {json.dumps(WORKS)}"]
+    assert not trial._judge(Ended(status, lines), 60.0)["usable"]
+    lines.append(f"{BEGUN} key {OPTIONAL[0]}")
+    assert trial._judge(Ended(status, lines), 60.0) == WORKS
+    assert OPTIONAL[0] in verdicts.load_program_verdict("key").reason
+
+
+@pytest.mark.parametrize("reason", ["", "refused", f"{WRONG}x"])
+def test_a_trial_with_a_refused_optional_program(one, empty, monkeypatch, capsys, reason):
+    """It is no reason against the device, and a wrong one is."""
+    iterations = Variant(OPTIONAL[0])
+    if not iterations.suits(one.constants):
+        pytest.skip("there the host iterates")
+    monkeypatch.setattr(
+        probe, "first_failure", lambda _, variant: reason if variant == iterations else ""
+    )
+    monkeypatch.setattr(probe, "throughput", lambda *_, **__: 1.0)
+    probe.main(TESTED[0].index)
+    verdict = trial._judge(Ended(0, capsys.readouterr().out.splitlines()), 60.0)
+    assert (verdict["usable"], verdict["reason"]) == (
+        WRONG not in reason,
+        reason * (WRONG in reason),
+    )
+    key = program_key(one.device, iterations, choose_constants(one.device))
+    assert verdicts.load_program_verdict(key).reason == reason
+
+
 @pytest.mark.parametrize("reason", [f"{WRONG}x", "its driver crashed on x", "refused"])
 def test_of_the_further_programs_a_wrong_one_counts_in_a_trial(empty, monkeypatch, reason):
-    """No trial is made of optional ones alone, without which the device is usable."""
     beside = {**WORKS, "usable": False, "reason": reason}
     monkeypatch.setattr(
         devices, "run_probe", lambda _, request=None: beside if request else {**WORKS}

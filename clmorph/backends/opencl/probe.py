@@ -29,7 +29,7 @@ from clmorph.backends.opencl.devices.trial import (
     LOADED,
     VERDICT,
 )
-from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, SLOW_FLOAT64
+from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, SLOW_FLOAT64, condemns
 from clmorph.backends.opencl.verification.findings import words_of
 from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.errors import ClmorphError
@@ -68,9 +68,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
         operations = OpenCLOperations(device, constants, verify=False, profiled=True)
         failure: dict[str, Any] = {}
         for variant in variants:
-            print(f"\n{BEGUN} {program_key(device, variant, constants)} {variant}", flush=True)
             reason, lasting = _check(operations, variant)
-            print(f"\n{ENDED} {json.dumps(reason if lasting else None)}", flush=True)
             if reason:
                 failure = failure or _failure(reason, lasting)
                 # Of the programs of a request each gets a verdict.
@@ -89,6 +87,13 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
         verdict[SLOW_FLOAT64] = True
     if eighths:
         verdict[MANY_EIGHTHS] = eighths
+    iterations = Variant("half_steps.cl")
+    if whole and iterations.suits(constants):
+        # A crash from here on is that of a program that the host does without.
+        print(f"\n{VERDICT} {json.dumps(verdict)}", flush=True)
+        reason, lasting = _check(operations, iterations)
+        if condemns(reason, optional=True):
+            return _failure(reason, lasting)
     return verdict
 
 
@@ -112,11 +117,18 @@ def precise_rate(device: cl.Device, constants: BuildConstants) -> float:
 
 
 def _check(operations: OpenCLOperations, variant: Variant) -> tuple[str, bool]:
-    """Return what is wrong with a program, and whether another check would return the same."""
+    """Return what is wrong with a program, and whether another check would return the same.
+
+    A line is printed before and after the check.
+    """
+    key = program_key(operations.device, variant, operations.constants)
+    print(f"\n{BEGUN} {key} {variant}", flush=True)
     try:
-        return first_failure(operations, variant), True
+        reason, lasting = first_failure(operations, variant), True
     except Exception as error:  # as in `probe`
-        return f"{variant}: {_words(error)}", not _is_passing(error, operations.device)
+        reason, lasting = f"{variant}: {_words(error)}", not _is_passing(error, operations.device)
+    print(f"\n{ENDED} {json.dumps(reason if lasting else None)}", flush=True)
+    return reason, lasting
 
 
 def _words(error: Exception) -> str:

@@ -105,7 +105,7 @@ def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
 def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
     """Return the variants that photographs and drawings use beside the usual ones.
 
-    Optional ones come last: a crash in one leaves the others verified.
+    The optional one comes last: a crash in it leaves the others verified.
     """
     return (
         Variant("tile_levels.cl"),
@@ -116,7 +116,7 @@ def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
         Variant("plan_shares.cl", dimension, listed=True, masked=True),
         Variant("plan_rows.cl", dimension, listed=True),
         Variant("sliced_ellpack.cl"),
-        *map(Variant, OPTIONAL),
+        Variant("sparse_half_steps.cl"),
     )
 
 

@@ -148,10 +148,13 @@ def _judge(ended: Ended, seconds: float) -> dict[str, Any]:
     """Return the verdict of a probe that has ended."""
     status, lines = ended.status, ended.lines
     key, name = _keep_program_verdicts(lines)
-    words = [line.partition(" ") for line in lines]
-    if status == 0 and (found := [rest for word, _, rest in words if word == VERDICT]):
+    found: dict[str, Any] = {}
+    for line in lines:
+        word, _, rest = line.partition(" ")
         with contextlib.suppress(ValueError, TypeError):
-            return dict(json.loads(found[-1]))
+            found = dict(json.loads(rest)) if word == VERDICT else found
+    if found and status == 0:
+        return found
     noise = next((line.strip() for line in ended.errors[::-1] if line.strip()), "no output")
     crashed = f"{CRASHED} ({{}} {abs(status or 0)}) on {name or 'a kernel'}"
     lasting, outside = True, [getattr(signal, each, None) for each in _FROM_OUTSIDE]
@@ -174,6 +177,8 @@ def _judge(ended: Ended, seconds: float) -> dict[str, Any]:
         lasting, reason = False, f"its probe ended with status {status}: {noise}"
     if key and (lasting or (status is None and name in OPTIONAL)):
         save_program_verdict(key, reason, lasting)
+    if found and name in OPTIONAL:
+        return found
     verdict = _failed(reason, lasting)
     return verdict | {"timed_out": True} if status is None else verdict
 
