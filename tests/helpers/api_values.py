@@ -574,7 +574,7 @@ NASTY: dict[str, Callable[[], Any]] = {
     "swapped pair": lambda: (np.arange(6.0).reshape(3, 2), np.ones(3)),
     "nan points": lambda: (np.ones(3), np.full((3, 5), np.nan)),
     "9 points": lambda: (np.ones(9), np.linspace(0, 1, 45).reshape(9, 5)),
-    "12 dimensions": lambda: (np.ones(3), np.zeros((3, 12))),
+    "1025 dimensions": lambda: (np.ones(3), np.zeros((3, 1025))),
     "negative weights": lambda: (-np.ones(3), np.zeros((3, 5))),
     "masked points": lambda: (np.ones(3), np.ma.array(np.zeros((3, 5)), mask=True)),
     "own points": lambda: clmorph.WeightedPoints([[0.0, 1.0]], [1.0]),
