@@ -18,6 +18,7 @@ import numpy as np
 from benching import begin_memory, line, print_head, resident_bytes
 
 import clmorph
+from clmorph.backends.interface import Operations
 
 BLUR, REACH = 0.3, 1.0
 
@@ -29,7 +30,7 @@ def clouds(count: int, dimension: int) -> tuple[np.ndarray, np.ndarray]:
     return x, y + 0.2 / dimension**0.5
 
 
-def pairs_a_second(backend: clmorph.Operations, count: int, dimension: int) -> float:
+def pairs_a_second(backend: Operations, count: int, dimension: int) -> float:
     """Return the speed of a softmin."""
     weights = np.full(count, 1 / count)
     rows, columns = (backend.upload(points, weights) for points in clouds(count, dimension))
