@@ -163,7 +163,7 @@ def test_missed_gap_is_told(monkeypatch):
         ({"weights": np.ones(3), "y": np.zeros((2, 2))}, "at least as many points in y"),
         ({"gap": -1.0}, "gap"),
         ({"seed": -1}, "seed"),
-        ({"x": np.zeros((3, 11)), "y": np.zeros((4, 11))}, "11 coordinates"),
+        ({"x": np.zeros((3, 1024)), "y": np.zeros((4, 1024))}, "1024 coordinates"),
     ],
 )
 def test_mistakes_are_named(wrong, words):
