@@ -408,13 +408,13 @@ INLINE uint stage_exponents(
     const uint row = first_row + local_row;                                                    \
     TILE_SETUP(row);                                                                           \
     ereal u[ROW_NUMBERS];                                                                      \
-    OWN_ROWS(&u, row, 1)
+    OWN_ROWS(u, u, row, 1)
 
 // The same, with u of BLOCKS blocks of rows.
 #define BLOCK_SETUP                                                                            \
     TILE_SETUP(first_row + BLOCK_ROW(0));                                                      \
     ereal u[BLOCKS][ROW_NUMBERS];                                                              \
-    OWN_ROWS(u, first_row + BLOCK_ROW(0), BLOCKS)
+    OWN_ROWS(u[0], u[block], first_row + BLOCK_ROW(0), BLOCKS)
 
 #if TOPS
 #define STAGED_TOPS __local float tops[STACKS * GROUP]
@@ -451,8 +451,8 @@ INLINE vreal largest_exponents(
 // Stage the n-th column tile of the row tile, and return its number. With SLICE this puts the tile's exponents
 // into u, which holds the rows' coordinates otherwise.
 #ifdef SLICE
-#define OWN_ROWS(u, row, blocks)                                                               \
-    ereal* const own_exponents = (u)[0];                                                       \
+#define OWN_ROWS(all, of_block, row, blocks)                                                   \
+    ereal* const own_exponents = all;                                                          \
     const uint own_row = row;                                                                  \
     const int own_blocks = blocks
 #define STAGE_TILE(n)                                                                          \
@@ -464,9 +464,9 @@ INLINE vreal largest_exponents(
     stage_slice(first, count, q, row_tile, dimension, column_stride, e_constant(k, k_low),     \
                 row_centers, column_shifts, column_centers, staged)
 #else
-#define OWN_ROWS(u, row, blocks)                                                               \
+#define OWN_ROWS(all, of_block, row, blocks)                                                   \
     for (int block = 0; block < blocks; ++block)                                               \
-        load_rows(row_shifts, row_stride, row + block * (GROUP * WIDTH), (u)[block])
+        load_rows(row_shifts, row_stride, row + block * (GROUP * WIDTH), of_block)
 #define STAGE_TILE(n)                                                                          \
     stage_columns(TILE_AT(n), row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),      \
                   row_centers, column_shifts, column_centers, column_logits,                   \

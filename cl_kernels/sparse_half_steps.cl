@@ -112,7 +112,8 @@ INLINE real joined_log_sum(
     const real top = joined(tops, groups, true, shared);
     real found = REAL(0);
     for (uint group = get_local_id(0); group < groups; group += GROUP)
-        found = PLUS(found, TIMES(sums[group], EXP(MINUS(tops[group], top))));
+        if (IS_BELOW(REAL(-INFINITY), tops[group])) // of a group without terms a pair's difference is not a number
+            found = PLUS(found, TIMES(sums[group], EXP(MINUS(tops[group], top))));
     return PLUS(top, LOG(group_sum(found, shared)));
 }
 

@@ -53,7 +53,8 @@ def softmin_batches(bench: Bench, variant: Variant) -> Findings:
             own, np.split(got, np.cumsum([case.shape[0] for case in own])[:-1]), bounds, strict=True
         ):
             _, exact_bound = case.exact.bounded_softmin(*case.theirs, case.g, EPSILON)
-            share = float(np.maximum(share, case.off(found) / (bound + exact_bound)))
+            with np.errstate(over="ignore"):
+                share = float(np.maximum(share, case.off(found) / (bound + exact_bound)))
         kind = "bounded_" if variant.bounded else "precise " * variant.precise
         yield Finding(f"{kind}softmin_batch of {len(own)} problems, {variant.dimension}D", share)
 
