@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from clmorph.backends.opencl import verification
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import BuildConstants, apply_quirks, gpu_constants
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.quirks import find_quirks
+from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.backends.rounding import rounding_error
 from clmorph.reference import NumPyOperations
 
@@ -82,5 +82,5 @@ def test_most_tiles_are_below(device, monkeypatch):
 def test_sums_below_the_maximum_are_verified(device, monkeypatch):
     """Before the first use of the program."""
     with_source(monkeypatch, lambda text: text.replace(BELOW, "few = NAN;"))
-    reason = verification.first_failure(operations(device), Variant("log_sum_exp.cl", 5))
+    reason = first_failure(operations(device), Variant("log_sum_exp.cl", 5))
     assert "softmin" in reason
