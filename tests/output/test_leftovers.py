@@ -441,7 +441,7 @@ def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
         with Spool(np.uint8, Path()) as spool:
             spool.append(np.zeros(390, np.uint8))
             spool.append(np.zeros(390, np.uint8))  # still in Python's buffer
-            with pytest.raises(OutputError, match="cannot wait"):
+            with pytest.raises(OutputError, match="cannot be kept on disk"):
                 spool[0]
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
