@@ -114,7 +114,7 @@ def _figure(inside: _Bool, end: End) -> Figure:
 
 
 def _all(value: float, end: End) -> Float32:
-    """Return a value for each pixel of a picture, in no memory."""
+    """Return a value for each pixel of a picture, as a view of one number."""
     return np.broadcast_to(np.float32(value), end.shape)
 
 

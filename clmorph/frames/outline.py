@@ -25,8 +25,8 @@ ROUNDS = 40
 #: Width of the Gaussian that smooths an outline where both pictures count alike, twice: a share of
 #: the longer side, and at least some pixels.
 SMOOTH, NARROWEST = 0.006, 1.2
-#: Points of the stage by which layers' outlines differ where their mean is smoothed more: by so
-#: many such widths, which fade at the ends of a film by so much.
+#: Outlines of layers that are so many points of the stage apart are smoothed more: by a Gaussian so
+#: many times as wide, whose width falls to none at the ends of a film, at this rate.
 ROUGH, ROUGH_WIDTH, FADING = 6.0, 3.0, 3.0
 #: By how much the mean of two distances, halfway, may be made steeper.
 STEEPER = 1.5
@@ -35,7 +35,7 @@ ACROSS = 3.0
 #: Half of the width up to which a line is thin, as a share of the longer side: one of two thin
 #: lines that do not meet is seen, as their mean is no line.
 THIN = 1 / 64
-#: A share of what is smoothed more that nobody sees.
+#: The largest share of the wider smoothing that nobody sees.
 FAINT = 0.01
 
 
@@ -51,7 +51,7 @@ class Outline(NamedTuple):
     level: float | None
 
     def on(self, canvas: Canvas) -> Callable[[slice], Float32]:
-        """Return what gives, for rows of a canvas, how far pixels lie inside, from 0 to 1."""
+        """Return a function of rows of a canvas: how far their pixels lie inside, from 0 to 1."""
         if self.level is None:
             return lambda rows: np.ones((1, 1), np.float32)
         way = affine(canvas, self.canvas)
@@ -113,7 +113,7 @@ def outline_of(
 def level_of(
     distance: NDArray[np.floating], area: float, softness: NDArray[np.floating], most: float
 ) -> float:
-    """Return the level of distance that is the outline of a figure of an area.
+    """Return the level of distance at which the figure has an area, a share of the canvas.
 
     Pixels within half a `softness`, (H, W), of it count in part. It is at most `most` off zero.
     """

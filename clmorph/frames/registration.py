@@ -265,9 +265,9 @@ def _flow(images: Sequence[Array], radius: int, longest: float, width: float) ->
 
 
 def _estimated(first: Array, second: Array, radius: int) -> Array:
-    """Return an estimate of that, which begins with images of half the size.
+    """Return an estimate of how far the second image is from the first, from coarse to fine.
 
-    What is as good as nothing must not count in any round: it would be the images' rounding.
+    `FLAT` keeps windows without contrast out of every round: they would add but rounding errors.
     """
     from scipy.ndimage import uniform_filter
     from skimage.transform import pyramid_reduce

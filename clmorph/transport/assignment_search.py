@@ -29,8 +29,8 @@ INCREMENT, BIDS = 0.5, 30
 #: Rows that are left without a column get pairs among themselves as long as these are more than
 #: this, and at most this share of those before; the others get the cheapest of what is left.
 LEFT, FEWER = 100, 0.9
-#: Lines of candidates for each column after which prices along paths are given up, where few
-#: candidates are new and otherwise.
+#: Rows of candidates for each column after which the search for prices along paths stops, where
+#: few candidates are new and otherwise.
 FEW_LINES, LINES = 20, 1000
 #: Share of the gap that prices may miss.
 SLACK = 1 / 8
@@ -75,10 +75,11 @@ def solved(
     n, m = len(costs.x), len(costs.y)
     found, first = Solution(np.arange(n), (g[:n], g), np.inf, -np.inf, False), np.inf
     shortest = start is not None
+    share = min(gap, 1.0)  # prices that may miss more would prove nothing
     for number in range(CHECKS):
         if state.taken.min() < 0:
             _fill(state, INCREMENT * epsilon)
-        accuracy = gap * (state.cost() + constant) / n
+        accuracy = share * (state.cost() + constant) / n
         least = SLACK * accuracy
         if not shortest or not state.settle(FEW_LINES * m, least):
             state.shorten(LINES * m, least)
@@ -99,7 +100,7 @@ def solved(
         first, enough = min(first, above), gap * (bound + constant)
         report(Share(_share(above, first, enough), f"gap {_gap(found):.1e}"))
         # Nothing is left to be found, unless prices may have missed too much of a lower cost.
-        proven = shortest and not undercut and least * n <= 2 * SLACK * gap * (cost + constant)
+        proven = shortest and not undercut and least * n <= 2 * SLACK * share * (cost + constant)
         if above <= enough or (proven and plans is None):
             found = found._replace(reached=True)
             break

@@ -32,7 +32,7 @@ FINE, LOW, RANGE = 1e-6, 0.1, 2.0**10
 STAGES = 6
 #: Rows left without a column get one of those left in parts of so many rows, which bounds the time.
 PART = 1000
-#: Steps along shortest paths after each of which circles are looked for.
+#: Steps along shortest paths after each of which cycles are looked for.
 CIRCLES = 16
 #: Largest number of candidates that a point has because other points have chosen it.
 MOST = 64
@@ -160,13 +160,13 @@ class Auction:
             fine = max(FINE * typical, ROUNDING * self.size, least / 2)
             if self.costs.spare or unit <= fine:
                 return
-            # Rounded costs have no negative circles, so that others have none beyond two units.
+            # Rounded costs have no negative cycles, so that others have none beyond two units.
             if not self.settle(work, 2 * unit):
                 return
             most = RANGE * unit
 
     def _shorten(self, most: float) -> tuple[float, float]:
-        """Use pairs that cost up to `most` above their row's; return the unit and a low cost.
+        """Use pairs that cost up to `most` above their row's; return their unit and a low cost.
 
         SciPy first looks for any assignment, which takes long unless it finds this one at once:
         columns are numbered by their rows.
@@ -185,7 +185,7 @@ class Auction:
         there = number[columns]
         by_row = np.argsort(rows * m + there)
         first = np.searchsorted(rows, np.arange(n + 1))
-        # What is 0 would be no pair.
+        # A stored zero would count as a missing pair.
         steps = np.rint(cost / (unit or 1.0)) + 1
         pairs = csr_array((steps[by_row], there[by_row], first), shape=(n, m))
         self.take(order[min_weight_full_bipartite_matching(pairs)[1]])
@@ -198,7 +198,7 @@ class Auction:
         left out.
 
         Prices fall to g_j <= C_ij - C_is(i) + g_s(i) (Bellman, Ford), from where the last ones have
-        fallen. Rows that undercut one another in a circle change their columns, which is cheaper
+        fallen. Rows that undercut one another in a cycle change their columns, which is cheaper
         (Klein 1967). Columns that no row has belong to rows from N on, which cost nothing.
         """
         n, m = len(self.taken), len(self.g)
@@ -239,7 +239,7 @@ class Auction:
         return False
 
     def _turn(self, cause: Indices) -> bool:
-        """Let rows in circles of causes change their columns; return whether there were such."""
+        """Let rows in cycles of causes change their columns; return whether there were such."""
         n, m = len(self.taken), len(cause)
         following = np.where(cause < 0, np.arange(m), cause)
         for _ in range(int(m).bit_length()):
@@ -248,7 +248,7 @@ class Auction:
         inside = inside[cause[inside] >= 0]
         if not len(inside):
             return False
-        # All of a circle: what is reached from what is surely inside of one.
+        # All of a cycle: what is reached from what is surely inside of one.
         members = np.zeros(m, bool)
         while len(inside):
             members[inside] = True

@@ -21,6 +21,9 @@ from clmorph.transport.potentials import Potentials
 #: Largest error of colors that are computed from lifted points, in coordinates of the color space.
 COLOR_ERROR = 1e-6
 
+#: Most coordinates of points whose covariances are computed: a launch takes time by their square.
+MAX_COVARIANCE = 64
+
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Barycentric:
@@ -119,7 +122,8 @@ def barycentric_plan(
     Raises
     ------
     InputError
-        If an argument cannot be used, or if the cost does not depend on all of color (because of
+        If an argument cannot be used, if points have more than 64 coordinates (a covariance has the
+        square of that many numbers), or if the cost does not depend on all of color (because of
         the color weight or the metric), so that the mean destination does not determine the mean
         color.
 
@@ -135,6 +139,12 @@ def barycentric_plan(
     """
     images = isinstance(source, Measure) and isinstance(target, Measure)
     pair = as_pair(source, target)
+    dimension = pair[0].points.shape[1]
+    if dimension > MAX_COVARIANCE:
+        raise InputError(
+            f"covariances of points have {dimension} x {dimension} numbers, expected at most "
+            f"{MAX_COVARIANCE} coordinates; `Potentials.map` gives mean destinations alone"
+        )
     to_colors: Callable[[Array], Array] = lambda mean: mean[:, :0]  # noqa: E731
     if isinstance(source, Measure) and isinstance(target, Measure):
         to_colors = destination_colors(source, target)

@@ -30,7 +30,7 @@ from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.gradient import Gradient, divergence_gradient
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Regularization, of_pairs, regularization
+from clmorph.transport.regularization import Regularization, refuses_other_order, regularization
 from clmorph.transport.sinkhorn import sinkhorn, solve, warn_unless_converged
 
 #: The problem between two measures is solved further if the gap of its values is more than this
@@ -139,7 +139,7 @@ class Divergence:
         return None
 
 
-@of_pairs
+@refuses_other_order
 def sinkhorn_divergence(
     source: MeasureLike,
     target: MeasureLike,

@@ -22,7 +22,7 @@ _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
 
 
-def of_pairs(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+def refuses_other_order(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
     """Refuse arguments (a, x, b, y) with the right call, also where blur is given by name."""
 
     @wraps(function)

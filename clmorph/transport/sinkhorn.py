@@ -41,10 +41,10 @@ from clmorph.transport.options import (
     SolverOptions,
 )
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Regularization, of_pairs, regularization
+from clmorph.transport.regularization import Regularization, refuses_other_order, regularization
 
 
-@of_pairs
+@refuses_other_order
 def sinkhorn(
     source: MeasureLike,
     target: MeasureLike,

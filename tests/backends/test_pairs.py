@@ -119,7 +119,11 @@ def test_solves_in_pairs(without_float64, rng, reach, scale):
         assert theirs.certificate.dual <= high + 1e-9 * size
 
 
-def test_batches_in_pairs(without_float64, rng):
+def test_batches_in_pairs(without_float64, rng, monkeypatch):
+    made, start = [], without_float64.start_batch_iteration
+    monkeypatch.setattr(
+        without_float64, "start_batch_iteration", lambda *a: made.append(start(*a)) or made[-1]
+    )
     pairs = []
     for sizes in ((60, 1), (1, 40), (70, 130), (150, 26)):
         pairs.append([
@@ -127,8 +131,10 @@ def test_batches_in_pairs(without_float64, rng):
         ])  # fmt: skip
     solve = {"blur": 0.05, "reach": 0.4, "tol": 1e-5, "backend": without_float64}
     found = clmorph.sinkhorn_batch(*zip(*pairs, strict=True), **solve)
+    assert made
+    assert None not in made
     for together, pair in zip(found, pairs, strict=True):
         alone = clmorph.sinkhorn(*pair, **solve)
         assert together.converged
         assert abs(together.n_iter - alone.n_iter) <= 1
-        assert np.abs(together.g - alone.g).max() <= 2e-5 * 0.05**2 * 100
+        assert np.abs(together.g - alone.g).max() <= 2e-3 * 0.05**2

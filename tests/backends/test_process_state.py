@@ -129,13 +129,10 @@ def test_a_child_of_the_probe_does_not_hold_its_trial_up(monkeypatch, tmp_path, 
         f"{body}\n"
     )
     monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
-    began = time.monotonic()
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
     verdict = trial.run_probe("0:0")
-    taken = time.monotonic() - began
-    os.kill(int((tmp_path / "pid").read_text()), 9)
+    os.kill(int((tmp_path / "pid").read_text()), 9)  # it fails if the child has ended, after 20 s
     assert words in verdict["reason"]
-    assert taken < 15
 
 
 @pytest.mark.needs_device

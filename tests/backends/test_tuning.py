@@ -25,6 +25,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices import find, throughput, verdicts
 from clmorph.backends.opencl.devices.cache import load_record, save_record
 from clmorph.backends.opencl.tuner import tune
+from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.cli.main import main
 
 VARIANT = Variant("plan_shares.cl", 5)
@@ -131,6 +132,15 @@ def test_the_devices_clock_measures_kernels(device):
         began = time.perf_counter()
         seconds[profiled] = throughput.seconds_of(operations, lambda: time.sleep(0.01))
         assert 0.01 <= seconds[profiled] <= time.perf_counter() - began
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", ["tile", "unroll", "width", "rows"])
+def test_candidates_are_right(device, name):
+    """Constants change speed only; candidates are timed before the best one is verified."""
+    for constants in list(tuning.variants(choose_constants(device.device), name, 64))[:2]:
+        operations = OpenCLOperations(device.device, constants, verify=False)
+        assert first_failure(operations, Variant("log_sum_exp.cl", 5)) == ""
 
 
 def test_tuning_is_kept_and_used(device, fast_tile):

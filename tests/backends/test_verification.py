@@ -137,8 +137,16 @@ def test_the_variants_are_of_every_file():
     assert set(usual_variants() + further_variants()) <= set(VARIANTS)
 
 
+#: Programs that few tests use otherwise are compared on every device.
+ON_ALL = "grid_log_sum_exp.cl", "color_table.cl"
+
+
 @pytest.mark.in_turns
-@pytest.mark.parametrize("built", VARIANTS, ids=str)
+@pytest.mark.parametrize(
+    "built",
+    [pytest.param(v, marks=pytest.mark.small) if v.file in ON_ALL else v for v in VARIANTS],
+    ids=str,
+)
 def test_every_variant_is_right(variant, built):
     if not built.suits(variant.constants):
         pytest.skip("there the host iterates")

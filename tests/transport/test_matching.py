@@ -86,6 +86,17 @@ def test_large_gap_takes_less_and_holds(device):
     _holds(found, x, y, gap=0.05)
 
 
+@pytest.mark.parametrize("gap", [1.0, 3.0, 1000.0])
+@pytest.mark.parametrize("n", [60, 200])
+def test_a_gap_above_one_is_proven(n, gap):
+    """Prices that may miss as much as the cost would have no bound above 0."""
+    rng = np.random.default_rng(0)
+    y, x = rng.random((200, 2)), rng.random((n, 2))
+    found = clmorph.assignment(x, y, gap=gap, backend="numpy")
+    assert found.gap <= min(gap, 1.0)
+    _holds(found, x, y, gap=gap)
+
+
 @pytest.mark.parametrize("kind", ["random", "weights", "ties", "same"])
 def test_many_pairs_are_searched_on_the_device(device, monkeypatch, kind):
     """Drawn candidates, and bounds of sums over all pairs, prove what trees prove."""

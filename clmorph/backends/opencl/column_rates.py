@@ -1,4 +1,4 @@
-"""Measure from which number of columns on a tile is summed as a whole."""
+"""Measure from how many chosen columns on it is faster to sum a whole tile."""
 
 import numpy as np
 
@@ -14,9 +14,9 @@ RUNS = 5
 
 
 def many_eighths(operations: OpenCLOperations, rate: float) -> int:
-    """Return of how many eighths of a tile's columns on it is faster to sum all of them.
+    """Return the eighths of a tile's columns from which on it is faster to sum all of them.
 
-    Sums over chosen columns take a time for each of them, and all of a tile less than so many.
+    Each chosen column takes its time; a whole tile takes less than as many chosen columns.
     `rate` is that of the device, in point pairs per second.
     """
     points = POINTS if rate * LONGEST_RUN > POINTS**2 else FEW_POINTS

@@ -71,7 +71,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
             reason, lasting = _check(operations, variant)
             if reason:
                 failure = failure or _failure(reason, lasting)
-                # Of the programs of a request each gets a verdict.
+                # Each program of a request gets its own verdict.
                 if whole:
                     break
         if failure:

@@ -55,7 +55,7 @@ class GridSoftmin:
         of_rows = self._sum(exponents, epsilon, True)
         means = np.empty((len(of_rows), self.rows.dimension))
         for k, axis in enumerate(self.columns.axes):
-            # A mass is multiplied by its coordinate, counted so that its logarithm exists.
+            # A mass is multiplied by its coordinate, shifted so that its logarithm exists.
             extent = float(np.ptp(axis))
             origin = axis.min() - (extent or 1.0)
             shape = [-1 if other == k else 1 for other in range(self.columns.dimension)]

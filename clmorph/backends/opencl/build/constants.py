@@ -67,7 +67,7 @@ class BuildConstants:
     #: Rows of a work-item of the log-sum-exp where they are more than `width`: see `stacks`.
     rows: int = 1
     #: Work-items of the one group that takes the vectors of a problem in an iteration over all
-    #: pairs: one group has a small share of a card, the larger the group the larger.
+    #: pairs: one group uses a small part of a card, and a larger group more of it.
     step_group: int = 1
     #: 1: the device computes in float64, of which iterations and grids need little; 0: it does not.
     float64: int = 1

@@ -26,7 +26,7 @@ _MANAGED_BY_LOADER = 0x4F50454E434C3331
 
 
 def is_uncached() -> bool:
-    """Return what ``PYOPENCL_NO_CACHE`` says; pyopencl cannot be imported with other words."""
+    """Return what ``PYOPENCL_NO_CACHE`` says; pyopencl cannot be imported with other values."""
     value = os.environ.get("PYOPENCL_NO_CACHE", "0")
     if value.lower() in ("y", "yes", "t", "true", "on", "1"):
         return True

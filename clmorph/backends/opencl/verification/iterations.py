@@ -33,8 +33,8 @@ Pair = tuple[Float64, Float64]
 @check("half_steps.cl", *KERNELS["half_steps.cl"], "log_sum_exp")
 def iterations(bench: Bench, variant: Variant) -> Findings:
     """Compare iterations over all pairs, of one problem and of a batch."""
-    tiles, _, *lifted = bench.clouds()
-    for case in (tiles, *lifted[1:2]):
+    tiles, long, *lifted = bench.clouds(columns=LONG_VECTOR)
+    for case in (tiles, long, *lifted[1:2]):
         for balanced in range(4):
             yield from iterate(case, balanced)
     yield from batch_iterations(bench)

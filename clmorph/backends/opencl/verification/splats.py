@@ -131,8 +131,9 @@ def deposits(bench: Bench, variant: Variant) -> Findings:
 
 
 @check("particles.cl", *SORT, "advect", "choose_width_levels", "splat")
-def moved(bench: Bench, variant: Variant, sigma: float = 1.3) -> Findings:
+def moved(bench: Bench, variant: Variant) -> Findings:
     """Compare a frame, and the widths, of particles that have moved."""
+    sigma = 1.3
     shape, count = splats_of(bench.pictures is not None).shape, 4000 if bench.pictures else 1000
     rng = np.random.default_rng(4)
     table = rng.random((300, 6))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from clmorph.backends.opencl.build.constants import SLICED_FROM
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.verification.batches import softmin_batches
 from clmorph.backends.opencl.verification.bench import LEFT_OUT, Bench, Clouds, Findings, check
@@ -57,7 +58,8 @@ def _row_maxima(case: Clouds) -> Findings:
     got = case.operations.row_maxima(*case.ours, case.g, case.epsilon)
     want = case.exact.row_maxima(*case.theirs, case.g, case.epsilon)
     # The errors of single exponents, unlike those of sums, do not cancel in part.
-    yield case.finding("row_maxima", largest(got - want), 1.5 * case.tolerance())
+    share = 1.5 if case.rows[0].shape[1] >= SLICED_FROM else 1.0
+    yield case.finding("row_maxima", largest(got - want), share * case.tolerance())
 
 
 def _offsets(case: Clouds) -> Findings:
@@ -154,8 +156,9 @@ def _of_moments(case: Clouds, variant: Variant) -> float:
 @check("plan_shares.cl", "sample_plan_rows")
 def draws(bench: Bench, variant: Variant) -> Findings:
     """Check that equally spaced thresholds draw each column in proportion to its share."""
-    few = replace(bench, pictures=None)
-    yield from _draws(few.clouds(variant.dimension, variant.listed), variant, 200)
+    cases = replace(bench, pictures=None).clouds(variant.dimension, variant.listed)
+    yield from _draws(cases, variant, 200)
+    yield from _draws(cases[:1], variant, 3)
     if bench.pictures is not None:
         # Of a few rows so many draws are compared that a single column's share shows.
         (points, weights), columns = bench.pictures

@@ -2,7 +2,7 @@
 Point clouds
 ============
 
-The solver takes weighted points in one to eleven dimensions, and returns potentials and a sparse
+The solver takes weighted points in 1 to 1,024 dimensions, and returns potentials and a sparse
 plan.
 """
 
