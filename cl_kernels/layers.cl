@@ -211,13 +211,14 @@ typedef struct {
     const __global float* rows;                   // (TABLES, canvas height)
     const __global float* columns;                // (TABLES, canvas width)
     const __global float4* points;                // (paths.x, paths.y), see place_layer
-    const __global float4* change;                // (field.x, field.y)
+    const __global float4* change;                // (field.x, field.y, 2): of color, and the guide
     const __global float4* coefficients;          // (picture.x, picture.y)
     const __global float* shares;                 // (paths.x, paths.y): weights of the fourth channel
     int2 canvas, paths, field, picture;           // height and width
     float2 step;                                  // from points of the field to pixels of the picture
     float tearing;                                // 1 over the distance at which tears begin
     float way;
+    float sharpness;                              // such that 1 / (1 + |sharpness (G - g)|^2) is the likeness
 } Layer;
 
 // Whole numbers, or parts, of a pixel's place. Places are added as vectors: Oclgrind 21.10 crashes
@@ -309,7 +310,8 @@ INLINE float4 of_picture(
     return sum;
 }
 
-// The color that a layer has at a pixel of this displacement.
+// The color that a layer has at a pixel of this displacement. The change of color is that of the points
+// around it whose guide is like its own color: at an edge of the picture it is not blurred.
 INLINE float4 color_at(const Layer layer, const int row, const int column, const float2 moved)
 {
     const float4 picture = of_picture(
@@ -320,11 +322,24 @@ INLINE float4 color_at(const Layer layer, const int row, const int column, const
     float down, across;
     const int2 i = between(whole.x, place.x, layer.field.x, &down);
     const int2 j = between(whole.y, place.y, layer.field.y, &across);
-    const __global float4* above = layer.change + (size_t)i.x * layer.field.y;
-    const __global float4* below = layer.change + (size_t)i.y * layer.field.y;
-    const float4 change = mix(
-        mix(above[j.x], above[j.y], across), mix(below[j.x], below[j.y], across), down);
-    return picture + layer.way * change;
+    // Each point of the field has its change, then its guide.
+    const __global float4* corners[4] = {
+        layer.change + 2 * ((size_t)i.x * layer.field.y + j.x),
+        layer.change + 2 * ((size_t)i.x * layer.field.y + j.y),
+        layer.change + 2 * ((size_t)i.y * layer.field.y + j.x),
+        layer.change + 2 * ((size_t)i.y * layer.field.y + j.y)};
+    float total = 0.0f;
+    float4 change = (float4)(0.0f);
+#pragma unroll
+    for (int corner = 0; corner < 4; ++corner) {
+        const float near = (corner < 2 ? 1.0f - down : down) * (corner % 2 ? across : 1.0f - across);
+        const float4 unlike = layer.sharpness * (corners[corner][1] - picture);
+        const float weight = near
+            / (1.0f + unlike.x * unlike.x + unlike.y * unlike.y + unlike.z * unlike.z);
+        total += weight;
+        change += weight * corners[corner][0];
+    }
+    return picture + layer.way / total * change;
 }
 
 // Square of the distance in the picture between a pixel and a neighbor, which stands inside the canvas.
@@ -386,7 +401,7 @@ __kernel void draw_layers(
     const int2 low_shape, const __global float4* restrict low,
     const int4 paths, const int4 fields, const int4 pictures, // height and width of both layers'
     const float4 step,                            // those of both layers
-    const float2 tearing, const float2 way,
+    const float2 tearing, const float2 way, const float sharpness,
     const __global float4* restrict points_a, const __global float4* restrict change_a,
     const __global float4* restrict coefficients_a, const __global float* restrict shares_a,
     const __global float4* restrict points_b, const __global float4* restrict change_b,
@@ -418,6 +433,7 @@ __kernel void draw_layers(
         layer.step = second ? (float2)(step.z, step.w) : (float2)(step.x, step.y);
         layer.tearing = second ? tearing.y : tearing.x;
         layer.way = second ? way.y : way.x;
+        layer.sharpness = sharpness;
         sum += of_layer(layer, row, column);
     }
     frame[(size_t)local_row * canvas.y + column] = sum;

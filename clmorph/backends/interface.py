@@ -409,7 +409,8 @@ class Operations(Protocol):
         """Upload what moves and recolors a picture.
 
         `paths`, (S + 1, H, W, 2) with S >= 1, is what `follow_paths` has returned; `change`, (h, w,
-        4), is the change of color on the grid of the field.
+        8), is the change of color on the grid of the field, and what the picture shows there (its
+        guide): a pixel takes the change of the points around it whose guide is like its own color.
         """
 
     def draw_layers(

@@ -20,6 +20,9 @@ class PlanRows(NamedTuple):
 #: Neighbors that a layer takes from places this many times as far apart as pixels stand beside a
 #: tear: from here to twice as far, pixels change to means over 3 x 3 pixels.
 TEAR = 3.0
+#: The distance of colors that count half as like, where the change of color is sampled. Colors of
+#: all spaces are scaled so that two random ones are equally far apart.
+LIKE = 0.22
 
 
 class Affine(NamedTuple):

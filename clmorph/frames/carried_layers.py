@@ -20,6 +20,7 @@ from clmorph.frames.fields import Field
 from clmorph.frames.layers import Layers, follow
 from clmorph.frames.moved_layer import layer_of
 from clmorph.frames.pictures import Pictures
+from clmorph.frames.resampling import reduced
 from clmorph.frames.switching import switched
 
 Array = NDArray[np.float64]
@@ -44,7 +45,7 @@ class Moment(NamedTuple):
             return first + share * (second - first)
 
         fields = tuple(
-            Field(mixed(one.move, two.move), mixed(one.change, two.change), one.canvas)
+            one._replace(move=mixed(one.move, two.move), change=mixed(one.change, two.change))
             for one, two in zip(self.fields, other.fields, strict=True)
         )
         return Moment(
@@ -59,9 +60,12 @@ class Moment(NamedTuple):
         ends = [End(picture, None, extent) for picture in pictures]
         drawn = Pictures(ends, (canvas, canvas), None, space, operations)
         layers = [
-            layer_of(field, follow(field, drawn.stage, operations), operations)
-            for field in self.fields
-        ]
+            layer_of(
+                field._replace(guide=reduced(own, field.canvas.shape)),
+                follow(field, drawn.stage, operations), operations,
+            )
+            for field, own in zip(self.fields, drawn.own, strict=True)
+        ]  # fmt: skip
         second = switched(self.times, self.agreement, t)
         thin = np.zeros(drawn.stage.shape)  # figures alone are lines
         return drawn.frame(

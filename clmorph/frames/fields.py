@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
-from clmorph.backends.records import Affine
+from clmorph.backends.records import LIKE, Affine
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.particles import Particles
 from clmorph.frames.resampling import reduced
@@ -25,11 +25,10 @@ _Real = TypeVar("_Real", np.float32, np.float64)
 #: Cells and points of a field along the longer side.
 CELLS, POINTS = 64, 256
 #: Standard deviations of the mean over cells of like color and of the enlargement, in cells; rounds
-#: of that mean; the distances of colors that count as like. Colors of all spaces are scaled so that
-#: two random ones are equally far apart.
+#: of that mean; the distance of colors that count as like there.
 SIGMA, SIGMA_FINE, ROUNDS = 3.3, 1.2, 3
-LIKE, LIKE_FINE = 0.26, 0.22
-#: Share of the points' longer side over which a field is smoothed: paths need a slope.
+LIKE_CELLS = 0.26
+#: Share of the points' longer side over which displacements are smoothed: paths need a slope.
 SOFT = 1 / 144
 #: Weight of a cell whose mass has no partner; and the share of such mass that takes the color that
 #: the other picture has at its place.
@@ -47,6 +46,8 @@ class Field(NamedTuple):
     move: Array
     #: Change of color, in the space of the path: (h, w, 3) array.
     change: Array
+    #: What the picture shows: (h, w, 3) array.
+    guide: Array
     #: One pixel for each point, over the picture's extent.
     canvas: Canvas
 
@@ -151,19 +152,19 @@ def field_of(
     known = np.maximum(weights, 1e-9).astype(np.float32)
     for _ in range(ROUNDS):
         values = operations.edge_preserving_mean(
-            values.astype(np.float32), known, own, own, SIGMA, LIKE
+            values.astype(np.float32), known, own, own, SIGMA, LIKE_CELLS
         )
     if figure:
         values = _spread(values, weights)
     values = operations.edge_preserving_mean(
         values.astype(np.float32), np.ones(grid.shape, np.float32), own, finer,
-        SIGMA_FINE, LIKE_FINE,
+        SIGMA_FINE, LIKE,
     )  # fmt: skip
-    values = blurred(values, (2.0 if figure else 1.0) * SOFT * max(points.shape))
-    move = (
-        values[..., :2] if figure else _kept_at_border(values[..., :2], points, canvases[1 - end])
-    )
-    return Field(move, values[..., 2:5], points)
+    soft = (2.0 if figure else 1.0) * SOFT * max(points.shape)
+    move = blurred(values[..., :2], soft)
+    if not figure:
+        move = _kept_at_border(move, points, canvases[1 - end])
+    return Field(move, values[..., 2:5], small.astype(float), points)
 
 
 def _kept_at_border(move: Array, points: Canvas, other: Canvas) -> Array:

@@ -46,8 +46,8 @@ class Layer(NamedTuple):
 
 def layer_of(field: Field, paths: Float32, operations: Operations) -> Layer:
     """Upload a layer."""
-    change = np.zeros((*field.canvas.shape, 4), np.float32)
-    change[..., :3] = field.change
+    change = np.zeros((*field.canvas.shape, 8), np.float32)
+    change[..., :3], change[..., 4:7] = field.change, field.guide
     return Layer(field, paths, operations.upload_layer(paths, change))
 
 

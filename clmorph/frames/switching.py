@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from clmorph._shared.enlarging import enlarged
 from clmorph.backends.interface import Operations
+from clmorph.backends.records import LIKE
 from clmorph.frames.canvas import Canvas
-from clmorph.frames.fields import CELLS, LIKE, LIKE_FINE, SIGMA, SIGMA_FINE, blurred, slopes
+from clmorph.frames.fields import CELLS, LIKE_CELLS, SIGMA, SIGMA_FINE, blurred, slopes
 from clmorph.frames.resampling import reduced
 
 Array = NDArray[np.float64]
@@ -65,11 +66,11 @@ def switching_times(
     known = reduced(shared[..., None], cells.shape)[..., 0].astype(np.float32)
     for _ in range(ROUNDS):
         found = operations.edge_preserving_mean(
-            found.astype(np.float32), known, guide, guide, SIGMA, BOTH * LIKE
+            found.astype(np.float32), known, guide, guide, SIGMA, BOTH * LIKE_CELLS
         )
     found = operations.edge_preserving_mean(
         found.astype(np.float32), known, guide, fine.astype(np.float32), SIGMA_FINE,
-        BOTH * LIKE_FINE,
+        BOTH * LIKE,
     )  # fmt: skip
     order = blurred(found[..., 0], longest / 256)
     # Time passes with the detail that changes hands, and less with plain places.

@@ -256,7 +256,8 @@ def test_outlines_lead_their_layers():
     y, x = np.indices(stage.shape) - 47.5
     own = 25.0 - np.hypot(y, x)
     still = np.zeros((2, 96, 96, 2), np.float32)
-    layer = layer_of(Field(np.zeros((96, 96, 2)), np.zeros((96, 96, 3)), stage), still, operations)
+    none = np.zeros((96, 96, 3))
+    layer = layer_of(Field(none[..., :2], none, none, stage), still, operations)
     for gap in (-3.0, 3.0, 0.2):
         outline = own + gap
         led = led_to(layer, own, outline, 0.5, stage, operations)

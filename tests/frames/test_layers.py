@@ -250,3 +250,16 @@ def test_figures_keep_their_colors_beyond_the_ground(device):
     inside = np.abs(ends[0] - 1).max(axis=2) > 0.3
     ground = frame[~inside & (np.abs(ends[0] - 1).max(axis=2) < 0.01)]
     assert np.ptp(ground.mean(axis=1)) < 0.05
+
+
+def test_edges_that_lose_contrast_have_no_halos(device):
+    """A disc on a light ground goes into a gray picture: no pixel is beyond both colors."""
+    y, x = np.indices((384, 384)) / 384 - 0.5
+    distance = np.hypot(y, x)
+    edge = np.clip((distance - 0.26) * 384 / 1.5, 0, 1)[..., None]
+    disc, gray = 0.1 + 0.8 * edge * np.ones(3), (0.5 + 0.2 * x)[..., None] * np.ones(3)
+    film = clmorph.morph(disc, gray, n_frames=3, size=None, preset="photo", backend=device)
+    for t in (0.4, 0.6):
+        frame = film.frame(t)[..., 0]
+        assert frame.min() > frame[distance < 0.2].min() - 0.06
+        assert frame.max() < frame[distance > 0.32].max() + 0.04

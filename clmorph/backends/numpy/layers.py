@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.enlarging import enlarged
-from clmorph.backends.records import TEAR, Affine, Float32, Float64, LayerView
+from clmorph.backends.records import LIKE, TEAR, Affine, Float32, Float64, LayerView
 
 
 def edge_preserving_mean(
@@ -119,11 +119,28 @@ def _drawn(view: LayerView, shape: tuple[int, int]) -> Float64:
         ],
         axis=-1,
     )  # fmt: skip
-    colors += view.way * linear(change, place)
+    colors += view.way * _alike(change, place, colors)
     torn = _torn(at, view)[..., None]
     if torn.any():
         colors += torn * (_mean_of_nine(colors) - colors)
     return colors
+
+
+def _alike(change: Float32, places: Float64, colors: Float64) -> Float64:
+    """Interpolate the change of color (h, w, 8) between points whose guide is like a color."""
+    sides = change.shape[:2]
+    low = np.floor(places)
+    found, total = np.zeros_like(colors), np.zeros((*colors.shape[:2], 1))
+    for row, column in np.ndindex(2, 2):
+        at = low + np.array([row, column])
+        near = np.prod(1.0 - np.abs(places - at), axis=-1, keepdims=True)
+        i, j = (np.clip(at[..., k], 0, side - 1).astype(int) for k, side in enumerate(sides))
+        point = change[i, j].astype(float)
+        unlike = ((point[..., 4:7] - colors[..., :3]) ** 2).sum(axis=-1, keepdims=True)
+        weight = near / (1.0 + unlike / LIKE**2)
+        total += weight
+        found += weight * point[..., :4]
+    return found / total
 
 
 def _torn(at: Float64, view: LayerView) -> Float64:

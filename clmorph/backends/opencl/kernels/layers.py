@@ -13,7 +13,7 @@ from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
-from clmorph.backends.records import TEAR, Affine, Float32, Float64, LayerView
+from clmorph.backends.records import LIKE, TEAR, Affine, Float32, Float64, LayerView
 
 #: Work-items of a group, along a row: more than the lanes of any device.
 GROUP = 64
@@ -39,7 +39,7 @@ class Layer(NamedTuple):
     shape: tuple[int, int]  # of the paths' grid
     paths: cl.Buffer  # (steps + 1, H, W, 2) float32
     field: tuple[int, int]  # shape of the field
-    change: cl.Buffer  # (h, w, 4) float32
+    change: cl.Buffer  # (h, w, 2, 4) float32
 
 
 class Layers:
@@ -159,6 +159,7 @@ class Layers:
             both("float4", [view.to_picture.step for view in views]),
             both("float2", [1.0 / (TEAR * _unit(view)) for view in views]),
             both("float2", [view.way for view in views]),
+            np.float32(1.0 / LIKE),
         )  # fmt: skip
         buffers = [
             buffer

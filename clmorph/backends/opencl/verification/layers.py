@@ -10,7 +10,7 @@ from clmorph.backends.numpy.layers import mean_radius
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.verification.bench import Bench, Findings, check
 from clmorph.backends.opencl.verification.findings import UNIT, Finding, largest
-from clmorph.backends.records import TEAR, Affine, Float32, LayerView
+from clmorph.backends.records import LIKE, TEAR, Affine, Float32, LayerView
 
 Shape = tuple[int, int]
 
@@ -149,11 +149,13 @@ class LayerCase(NamedTuple):
         The slope of a spline is at most the largest difference of coefficients, and that of a share
         of torn pixels follows from where tears begin.
         """
-        color, changed, moved = map(largest, (self.coefficients, self.change, self.paths))
+        color, moved = map(largest, (self.coefficients, self.paths))
+        changed = largest(self.change[..., :4])
         step = max(map(abs, self.to_picture.step))
         units = [abs(a * b) for a, b in zip(self.to_field.step, self.to_picture.step, strict=True)]
         changed *= self.way
-        in_color = color * (40 * step * moved + 80) + changed * (48 * moved + 48)
+        in_picture = color * (40 * step * moved + 80)
+        in_color = in_picture * (1 + 2 / LIKE * changed) + changed * (48 * moved + 48)
         in_torn = 16 + (24 * step * moved + 4 * max(units) + 4) / (TEAR * max(*units, 1e-6))
         total = in_color + 2 * (color + changed) * in_torn
         return max(map(largest, (self.weights, self.shares))) * UNIT * total
@@ -187,8 +189,11 @@ def scenes(shape: Shape) -> dict[str, Scene]:
     ) -> LayerCase:  # fmt: skip
         coefficients, paths, change = (
             rng.normal(size=size).astype(np.float32)
-            for size in ((*picture, 4), (4, *grid, 2), (*field, 4))
+            for size in ((*picture, 4), (4, *grid, 2), (*field, 8))
         )
+        # Colors of which some count as like.
+        coefficients *= LIKE
+        change[..., 4:] *= LIKE
         paths *= motion * np.linspace(0, 1, 4, dtype=np.float32)[:, None, None, None]
         return LayerCase(
             coefficients, paths, change, way, _over(grid, shape), _over(field, shape),
