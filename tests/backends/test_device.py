@@ -145,7 +145,7 @@ def test_apples_processor_gets_work_groups_of_one():
     )  # fmt: skip
     constants = choose_constants(apple)
     assert (constants.group, constants.tile_group, constants.precise) == (1, 1, 1)
-    assert constants.gauss_transform_macros()["MOMENT_GROUP"] == 1
+    assert constants.file_macros("gauss_transform.cl")["MOMENT_GROUP"] == 1
 
 
 def test_the_search_ends_at_the_first_usable_device(pretend):

@@ -145,56 +145,30 @@ class BuildConstants:
             "WIDTH": self.width * stacks,
         }
 
-    def sliced_ellpack_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``sliced_ellpack.cl``."""
-        return {
-            "EXP2_BUILTIN": self.exp2_builtin,
-            "SENTINEL": SENTINEL,
-            "SLICE": self.slice_rows,
-            "UNROLL": STORED_UNROLL,
-            "WIDTH": self.width,
-        }
-
-    def splat_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``splat.cl``."""
-        return {
-            "CHUNK": self.chunk,
-            "EXP2_BUILTIN": self.exp2_builtin,
-            "SENTINEL": SENTINEL,
-            "TILE_GROUP": self.tile_group,
-            "WIDTH": self.width,
-        }
-
-    def common_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``common.cl``, for files that have none of their own."""
-        return {"EXP2_BUILTIN": self.exp2_builtin, "SENTINEL": SENTINEL, "WIDTH": self.width}
-
-    def grid_macros(self, precise: bool) -> dict[str, int | float]:
-        """Return the macros of ``grid_log_sum_exp.cl``; `precise` sums are float64."""
-        lanes = self.lanes if precise else self.width
-        return {**self.common_macros(), "LANES": lanes, "PRECISE": 2 if precise else 0}
-
-    def tile_level_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``tile_levels.cl``."""
-        return {**self.common_macros(), "GROUP": self.group}
-
-    def layer_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``layers.cl``."""
-        return {**self.common_macros(), "LEAST_LIKENESS": LEAST_LIKENESS}
-
-    def nearest_seeds_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``nearest_seeds.cl``."""
-        own = {"GROUP": self.group, "LEAF": SEED_LEAF, "WAYS": SEED_WAYS}
-        return {**self.common_macros(), **own}
-
-    def particle_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``particles.cl``."""
-        return {
-            **self.common_macros(),
-            "BASE_LEVEL": WIDTH_LEVELS.base,
-            "LEVELS_PER_OCTAVE": WIDTH_LEVELS.per_octave,
-            "WIDTH_LEVELS": WIDTH_LEVELS.count,
-        }
+    def file_macros(self, file: str, precise: bool = False) -> dict[str, int | float]:
+        """Return the macros of a file of no rows and no iterations; `precise` is for grids."""
+        common = {"EXP2_BUILTIN": self.exp2_builtin, "SENTINEL": SENTINEL, "WIDTH": self.width}
+        own: dict[str, dict[str, int | float]] = {
+            "sliced_ellpack.cl": {"SLICE": self.slice_rows, "UNROLL": STORED_UNROLL},
+            "splat.cl": {"CHUNK": self.chunk, "TILE_GROUP": self.tile_group},
+            "grid_log_sum_exp.cl": {
+                "LANES": self.lanes if precise else self.width, "PRECISE": 2 if precise else 0
+            },
+            "tile_levels.cl": {"GROUP": self.group},
+            "layers.cl": {"LEAST_LIKENESS": LEAST_LIKENESS},
+            "nearest_seeds.cl": {"GROUP": self.group, "LEAF": SEED_LEAF, "WAYS": SEED_WAYS},
+            "particles.cl": {
+                "BASE_LEVEL": WIDTH_LEVELS.base, "LEVELS_PER_OCTAVE": WIDTH_LEVELS.per_octave,
+                "WIDTH_LEVELS": WIDTH_LEVELS.count,
+            },
+            # Work-groups of the transform take scalars.
+            "gauss_transform.cl": {
+                "MOMENT_CHUNK": MOMENT_CHUNK, "MOMENT_GROUP": self.group,
+                "WIDTH": self.width if self.group == 1 else 1,
+            },
+            "color_table.cl": {},
+        }  # fmt: skip
+        return common | own[file]
 
     @property
     def lanes(self) -> int:
@@ -221,16 +195,6 @@ class BuildConstants:
             "GROUP": self.group,
             "LARGEST_CHANGE": sparse_half_step_slots.LARGEST_CHANGE,
             **sparse_half_step_slots.macros(),
-        }
-
-    def gauss_transform_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``gauss_transform.cl``; work-groups take scalars."""
-        return {
-            "EXP2_BUILTIN": self.exp2_builtin,
-            "MOMENT_CHUNK": MOMENT_CHUNK,
-            "MOMENT_GROUP": self.group,
-            "SENTINEL": SENTINEL,
-            "WIDTH": self.width if self.group == 1 else 1,
         }
 
 

@@ -45,22 +45,11 @@ class Variant:
 
     def macros(self, constants: BuildConstants) -> dict[str, int | float]:
         """Return the macros of the program for these build constants."""
-        of_files = {
-            "sliced_ellpack.cl": constants.sliced_ellpack_macros,
-            "particles.cl": constants.particle_macros,
-            "splat.cl": constants.splat_macros,
-            "gauss_transform.cl": constants.gauss_transform_macros,
-            "layers.cl": constants.layer_macros,
-            "tile_levels.cl": constants.tile_level_macros,
-            "nearest_seeds.cl": constants.nearest_seeds_macros,
-            "color_table.cl": constants.common_macros,
-            "half_steps.cl": constants.half_step_macros,
-            "sparse_half_steps.cl": constants.sparse_half_step_macros,
-        }
-        if self.file == "grid_log_sum_exp.cl":
-            return constants.grid_macros(self.precise)
-        if self.file in of_files:
-            return of_files[self.file]()
+        if self.is_optional:
+            sparse = self.file == "sparse_half_steps.cl"
+            return constants.sparse_half_step_macros() if sparse else constants.half_step_macros()
+        if not self.dimension:
+            return constants.file_macros(self.file, self.precise)
         return constants.row_macros(
             self.dimension, self.precise, self.listed, self.bounded, self.masked, self.in_blocks,
             self.stacks(constants),

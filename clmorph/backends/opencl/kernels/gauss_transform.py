@@ -125,7 +125,7 @@ class Moments:
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants = work, constants
-        macros = constants.gauss_transform_macros()
+        macros = constants.file_macros("gauss_transform.cl")
         self._group = int(macros["MOMENT_GROUP"])
         self._scalar = macros["WIDTH"] == 1
         self._span = 1 if self._scalar else SPAN
