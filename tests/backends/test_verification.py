@@ -440,7 +440,7 @@ def test_a_refused_build_is_of_one_program_only(one, empty, monkeypatch):
     reason = f"{OTHER}: a device cannot build {OTHER.file}: 71:2: error: too long"
     lines = [
         LOADED, f"{BEGUN} {key_of(one)} {OTHER}", f"{ENDED} {json.dumps(reason)}",
-        f"{trial.VERDICT} {json.dumps(probe._failure(reason, lasting=True))}",
+        f"{trial.VERDICT} {json.dumps(verdicts.failed(reason, lasting=True))}",
     ]  # fmt: skip
     with monkeypatch.context() as patch:
         checking(patch, empty, lines)

@@ -22,14 +22,8 @@ from clmorph.backends.opencl.build.variants import Variant, further_variants, us
 from clmorph.backends.opencl.column_rates import many_eighths
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.devices.throughput import throughput
-from clmorph.backends.opencl.devices.trial import (
-    BEGUN,
-    ENDED,
-    FURTHER,
-    LOADED,
-    VERDICT,
-)
-from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, SLOW_FLOAT64, condemns
+from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, FURTHER, LOADED, VERDICT
+from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, SLOW_FLOAT64, condemns, failed
 from clmorph.backends.opencl.verification.findings import words_of
 from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.errors import ClmorphError
@@ -52,7 +46,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
     """Return the verdict on the device with this index: see `opencl.devices.trial.run_probe`."""
     found = dict(raw_devices())
     if index not in found:
-        return _failure("its probe did not find it", lasting=False)
+        return failed("its probe did not find it", lasting=False)
     device, speed, eighths = found[index], 0.0, 0
     whole = request is None
     try:
@@ -70,7 +64,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
         for variant in variants:
             reason, lasting = _check(operations, variant)
             if reason:
-                failure = failure or _failure(reason, lasting)
+                failure = failure or failed(reason, lasting)
                 # Each program of a request gets its own verdict.
                 if whole:
                     break
@@ -81,7 +75,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
             if not operations.on_processor:
                 eighths = many_eighths(operations, speed)
     except Exception as error:  # a driver's errors come in any class; the reason is shown
-        return _failure(_words(error), lasting=not _is_passing(error, device))
+        return failed(_words(error), lasting=not _is_passing(error, device))
     verdict = {"usable": True, "reason": "", "pairs_per_second": speed, "lasting": True}
     if whole and constants.precise < choose_constants(device).precise:
         verdict[SLOW_FLOAT64] = True
@@ -93,7 +87,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
         print(f"\n{VERDICT} {json.dumps(verdict)}", flush=True)
         reason, lasting = _check(operations, iterations)
         if condemns(reason, optional=True):
-            return _failure(reason, lasting)
+            return failed(reason, lasting)
     return verdict
 
 
@@ -117,10 +111,7 @@ def precise_rate(device: cl.Device, constants: BuildConstants) -> float:
 
 
 def _check(operations: OpenCLOperations, variant: Variant) -> tuple[str, bool]:
-    """Return what is wrong with a program, and whether another check would return the same.
-
-    A line is printed before and after the check.
-    """
+    """Return what is wrong with a program, and whether another check would return the same."""
     key = program_key(operations.device, variant, operations.constants)
     print(f"\n{BEGUN} {key} {variant}", flush=True)
     try:
@@ -134,10 +125,6 @@ def _check(operations: OpenCLOperations, variant: Variant) -> tuple[str, bool]:
 def _words(error: Exception) -> str:
     """Return an error in one line."""
     return str(error).split(";")[0] if isinstance(error, ClmorphError) else words_of(error)[:300]
-
-
-def _failure(reason: str, lasting: bool) -> dict[str, Any]:
-    return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": lasting}
 
 
 def _is_passing(error: BaseException | None, device: cl.Device) -> bool:

@@ -17,7 +17,12 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from clmorph._shared.validation import check_number
-from clmorph.backends.opencl.devices.verdicts import CRASHED, OPTIONAL, save_program_verdict
+from clmorph.backends.opencl.devices.verdicts import (
+    CRASHED,
+    OPTIONAL,
+    failed,
+    save_program_verdict,
+)
 
 #: Time limit in seconds to build and check a program, and the variable that changes it.
 PROBE_SECONDS = 60.0
@@ -70,7 +75,7 @@ def run_probe(index: str, request: str | None = None) -> dict[str, Any]:
     """
     seconds, python = probe_seconds(), interpreter()
     if python is None:
-        return _failed(
+        return failed(
             f"cannot be tried, because {sys.executable or 'an empty sys.executable'!r} is no "
             "Python interpreter: name one with multiprocessing.set_executable"
         )
@@ -79,7 +84,7 @@ def run_probe(index: str, request: str | None = None) -> dict[str, Any]:
     try:
         ended = _run(_command(python, index, request), seconds, reading)
     except OSError as error:
-        return _failed(f"cannot be tried ({python}: {error.strerror})")
+        return failed(f"cannot be tried ({python}: {error.strerror})")
     finally:
         os.close(reading)
         os.close(writing)
@@ -140,10 +145,6 @@ def _read(pipe: IO[str], lines: list[str]) -> None:
             lines.append(line.rstrip("\r\n"))
 
 
-def _failed(reason: str, lasting: bool = False) -> dict[str, Any]:
-    return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": lasting}
-
-
 def _judge(ended: Ended, seconds: float) -> dict[str, Any]:
     """Return the verdict of a probe that has ended."""
     status, lines = ended.status, ended.lines
@@ -179,7 +180,7 @@ def _judge(ended: Ended, seconds: float) -> dict[str, Any]:
         save_program_verdict(key, reason, lasting)
     if found and name in OPTIONAL:
         return found
-    verdict = _failed(reason, lasting)
+    verdict = failed(reason, lasting)
     return verdict | {"timed_out": True} if status is None else verdict
 
 

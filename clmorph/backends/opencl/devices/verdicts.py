@@ -138,9 +138,14 @@ def save_verdict(key: str, verdict: dict[str, Any]) -> None:
         save_record(f"{_DEVICES}/{key}", verdict)
 
 
+def failed(reason: str, lasting: bool = False) -> dict[str, Any]:
+    """Return the verdict on a device that is unusable for a reason."""
+    return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": lasting}
+
+
 def refuse(key: str, reason: str) -> None:
     """Remember that a device is unusable, in this process even if nothing can be stored."""
-    _refused[key] = {"usable": False, "reason": reason, "pairs_per_second": 0.0}
+    _refused[key] = failed(reason, lasting=True)
     save_verdict(key, _refused[key])
 
 
