@@ -8,7 +8,7 @@ therefore means the same in all spaces.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -158,20 +158,8 @@ def _by_skimage(name: str, values: Array) -> Array:
     return np.asarray(converted).reshape(values.shape)
 
 
-def _to_lab(colors: Array) -> Array:
-    return _by_skimage("rgb2lab", colors)
-
-
 def _from_lab(values: Array) -> Array:
     return _by_skimage("lab2rgb", _without_negative_light(values))
-
-
-def _to_luv(colors: Array) -> Array:
-    return _by_skimage("rgb2luv", colors)
-
-
-def _from_luv(values: Array) -> Array:
-    return _by_skimage("luv2rgb", values)
 
 
 @cache
@@ -200,8 +188,8 @@ def encode(light: Array) -> Array:
 _CONVERSIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "srgb": (_same, _same),
     "linear": (decode, encode),
-    "lab": (_to_lab, _from_lab),
-    "luv": (_to_luv, _from_luv),
+    "lab": (partial(_by_skimage, "rgb2lab"), _from_lab),
+    "luv": (partial(_by_skimage, "rgb2luv"), partial(_by_skimage, "luv2rgb")),
     "oklab": (_to_oklab, _from_oklab),
 }
 assert set(_CONVERSIONS) == set(COLOR_SPACES)

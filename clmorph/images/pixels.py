@@ -228,24 +228,19 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     >>> image.shape, image[0, 0].tolist()
     ((2, 3, 3), [1.0, 0.0, 0.0])
     """
-    samples, notes = _read(path, max_pixels)
-    for note in notes:
-        warnings.warn(note, ImageWarning, stacklevel=2)
-    return as_unit(samples)
+    return as_unit(_read(path, max_pixels))
 
 
 def read_visible(path: str | PathLike[str], max_pixels: int = MAX_PIXELS) -> AnyArray:
     """Read an image file as `as_samples` has it; if every pixel is transparent raise FileError."""
-    samples, notes = _read(path, max_pixels)
-    for note in notes:
-        warnings.warn(note, ImageWarning, stacklevel=2)
+    samples = _read(path, max_pixels)
     if samples.shape[2] == 4 and not samples[..., 3].any():
         raise FileError(f"{path}: every pixel is transparent; expected visible pixels")
     return samples
 
 
-def _read(path: str | PathLike[str], max_pixels: int) -> tuple[AnyArray, list[str]]:
-    """Return the samples of an image file, and sentences about it."""
+def _read(path: str | PathLike[str], max_pixels: int) -> AnyArray:
+    """Return the samples of an image file, and warn the caller's caller of what is odd in it."""
     max_pixels = check_max_pixels(max_pixels)
     if not is_path(path):
         raise InputError(f"path={shown(path)}: expected the path of an image, such as 'photo.png'")
@@ -280,4 +275,6 @@ def _read(path: str | PathLike[str], max_pixels: int) -> tuple[AnyArray, list[st
         raise FileError(
             f"{name} cannot be decoded ({reason_of(error, REASON_LENGTH)}); is it complete?"
         ) from error
-    return samples, [f"{name} has {note}" for note in notes]
+    for note in notes:
+        warnings.warn(f"{name} has {note}", ImageWarning, stacklevel=3)
+    return samples

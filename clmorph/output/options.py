@@ -15,7 +15,6 @@ Loop = Literal["loop", "ping-pong", "once"]
 LOOPS = get_args(Loop)
 #: The methods to enlarge and reduce frames; "auto" depends on the pictures.
 Scaling = Literal["auto", "nearest", "smooth"]
-SCALINGS = get_args(Scaling)
 
 
 #: The default frame rate, in frames per second.

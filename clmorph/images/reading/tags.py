@@ -40,10 +40,6 @@ Values = tuple[int | float, ...] | bytes
 class Directory(NamedTuple):
     """The tags of one picture."""
 
-    #: "<" (little-endian) or ">" (big-endian).
-    order: str
-    #: Whether the file is a BigTIFF.
-    big: bool
     #: Those in `_WANTED`: tuples of numbers, or bytes. Unreadable tags are omitted.
     tags: dict[int, Values]
     #: Offset of the next directory, 0 if there is none.
@@ -102,7 +98,7 @@ def read_directory(stream: IO[bytes], place: int = 0) -> Directory:
         if values is not None:
             tags[tag] = values
     end = struct.unpack(offset, after)[0] if len(after) == width else 0
-    return Directory(order, big, tags, end)
+    return Directory(tags, end)
 
 
 def _values(
