@@ -37,27 +37,3 @@ def test_limits_of_slots_are_those_promised():
     assert SLOTS["sm_90"][0] <= 10
     assert SLOTS["sm_90"][1] <= 11.5
     assert SLOTS["gfx90a"][0] <= SLOTS["gfx90a"][1] <= 10
-
-
-def test_slots_are_those_of_the_innermost_loops():
-    around = ["\ts_nop 0", ".LBB0_1:", "\tv_exp_f32_e32 v0, v1"]
-    inside = [".LBB0_2:", "\tv_add_f32_e32 v0, v1", "\tv_exp_f32_e32 v0, v1"]
-    others = [".LBB0_3:", "\tv_exp_f32_e32 v0, v1", "\ts_cbranch_scc1 .LBB0_3"]
-    ends = ["\ts_cbranch_scc1 .LBB0_2", *others, "\ts_cbranch_scc0 .LBB0_1", "\ts_endpgm"]
-    loops = kernel_limits.innermost("\n".join([*around, *inside, *ends]))
-    assert loops == [
-        [line.strip() for line in others[1:]],
-        [line.strip() for line in (*inside[1:], ends[0])],
-    ]
-
-
-@pytest.mark.parametrize("place", range(3))
-def test_a_kernel_that_passes_its_limits_is_told(place):
-    numbers = [24, 0, 512]
-    limits = {"sm_90": {"a.cl:b": list(numbers)}}
-    assert kernel_limits.complaints({"sm_90": {"a.cl:b": tuple(numbers)}}, limits) == []
-    numbers[place] += 1
-    (said,) = kernel_limits.complaints({"sm_90": {"a.cl:b": tuple(numbers)}}, limits)
-    assert f"takes {numbers[place]}" in said
-    (said,) = kernel_limits.complaints({"sm_80": {"a.cl:c": tuple(numbers)}}, limits)
-    assert said == "sm_80: a.cl:c has no limits"

@@ -31,21 +31,6 @@ def test_runs_that_are_interrupted(capsys):
     assert runs.findings.end() == 0, capsys.readouterr().out
 
 
-def test_a_fault_is_found(capsys):
-    """A tool that finds nothing must be able to."""
-    import disturbed_runs
-    import faults
-
-    runs = faults.Runs("numpy", faults.Findings(["--device", "numpy"]))
-    runs.references["gif"] = disturbed_runs.Reference(1.0, "another output", frozenset())
-    ended = disturbed_runs.Ended(1, ["Traceback (most recent call last):"], [".clmorph-x"], "")
-    runs._same("cache", "garbage:kernels", ended)
-    assert runs.findings.end() == 1
-    out = capsys.readouterr().out
-    assert "FINDING cache: garbage:kernels: exit code 1" in out
-    assert "--cache garbage:kernels --device numpy" in out
-
-
 @pytest.mark.full
 @pytest.mark.needs_device
 def test_morphs_in_threads_are_those_in_a_row(capsys):
