@@ -43,7 +43,7 @@ def still(picture, way=0.0, weight=1.0, share=1.0, moved=(0.0, 0.0)):
     paths = np.zeros((3, *shape, 2), np.float32)
     paths[1:] = np.multiply.outer([0.5, 1.0], np.asarray(moved))[:, None, None]
     return LayerCase(
-        coefficients(picture), paths, np.zeros((*shape, 4), np.float32), way, SAME, SAME, SAME,
+        coefficients(picture), paths, np.zeros((*shape, 8), np.float32), way, SAME, SAME, SAME,
         np.full(shape, weight, np.float32), np.full(shape, share, np.float32),
     )  # fmt: skip
 
@@ -197,7 +197,7 @@ def test_a_constant_motion_shifts_by_whole_pixels(each_device, rng):
 def test_at_the_start_a_layer_is_its_picture(any_backend_operations, rng, shape):
     picture = rng.random((*shape, 4))
     layer = still(picture, moved=(7.0, 9.0))._replace(
-        change=rng.normal(size=(*shape, 4)).astype(np.float32)
+        change=rng.normal(size=(*shape, 8)).astype(np.float32)
     )
     assert np.abs(drawn(any_backend_operations, layer) - picture).max() < 1e-5
     assert np.abs(drawn(any_backend_operations, layer, 0.5) - picture - 0.5).max() < 1e-5
@@ -205,7 +205,7 @@ def test_at_the_start_a_layer_is_its_picture(any_backend_operations, rng, shape)
 
 def test_at_the_end_the_color_has_changed(any_backend_operations, rng):
     picture, change = rng.random((2, 20, 31, 4))
-    layer = still(picture, way=1.0)._replace(change=change.astype(np.float32))
+    layer = still(picture, way=1.0)._replace(change=np.dstack((change, picture)).astype(np.float32))
     assert np.abs(drawn(any_backend_operations, layer) - picture - change).max() < 1e-5
 
 
@@ -228,7 +228,7 @@ def test_canvas_and_picture_of_other_sizes(any_backend_operations, rng):
     """A picture of 4000 pixels a row, a canvas of a few of them, to 1e-4 pixels."""
     picture = np.cumsum(rng.normal(size=(3, 4001, 4)), axis=1)
     layer = LayerCase(
-        coefficients(picture), np.zeros((2, 1, 1, 2), np.float32), np.zeros((1, 1, 4), np.float32),
+        coefficients(picture), np.zeros((2, 1, 1, 2), np.float32), np.zeros((1, 1, 8), np.float32),
         0.3, Affine((0.0, 0.0), (1.0, 1.0)), Affine((0.1, 0.3), (0.01, 0.7 / 96)),
         Affine((0.3, 0.4), (1.0, 4000.0)), *2 * [np.ones((1, 1), np.float32)],
     )  # fmt: skip
@@ -285,7 +285,7 @@ def test_tears_around_a_point_of_the_paths(each_device, rng, canvas, moved):
     paths[1, 3, 6] = moved / 6, -moved / 5
     paths[1, 7, 14, 0] = moved / 6
     layer = LayerCase(
-        coefficients(rng.random((48, 75, 4))), paths, np.zeros((*grid, 4), np.float32), 1.0,
+        coefficients(rng.random((48, 75, 4))), paths, np.zeros((*grid, 8), np.float32), 1.0,
         to_grid, to_grid, to_picture, *2 * [np.ones(grid, np.float32)],
     )  # fmt: skip
     scene = Scene((layer, absent(grid)), np.zeros((1, 1, 4), np.float32), canvas)
