@@ -333,7 +333,8 @@ INLINE float4 color_at(const Layer layer, const int row, const int column, const
 #pragma unroll
     for (int corner = 0; corner < 4; ++corner) {
         const float near = (corner < 2 ? 1.0f - down : down) * (corner % 2 ? across : 1.0f - across);
-        const float4 unlike = layer.sharpness * (corners[corner][1] - picture);
+        // Squares of huge differences would overflow, and all weights be 0.
+        const float4 unlike = clamp(layer.sharpness * (corners[corner][1] - picture), -1e6f, 1e6f);
         const float weight = near
             / (1.0f + unlike.x * unlike.x + unlike.y * unlike.y + unlike.z * unlike.z);
         total += weight;
