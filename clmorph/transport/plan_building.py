@@ -43,7 +43,7 @@ def transport_plan(
     are computed with it too.
 
     By default frames of the kept pairs differ by about 0.01/255 from those of all pairs (measured
-    in float64 on random pictures). A dropped pair could decide a pixel only where the kernels of
+    by ``tools/measure_pruning.py``). A dropped pair could decide a pixel only where the kernels of
     all others are nearly zero, and wider kernels fill such pixels (see
     `clmorph.frames.render.render`).
 
