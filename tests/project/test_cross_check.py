@@ -291,6 +291,18 @@ def test_what_is_wrong_is_found(rho, sigma, changed, expected):
     assert found <= expected
 
 
+@pytest.mark.parametrize("rho", [ONE_SIDED, BALANCED], ids=str)
+def test_a_primal_below_the_optimum_is_found(rho):
+    """With a balanced side there need not be a primal; one with a gap is held to be a bound."""
+    told = honest(rho)
+    values = vars(told.result) | {"primal": float(told.optimum.low) - 1e-9}
+    values["gap"] = values["primal"] - values["dual"]
+    assert "optimum <= primal" in broken(replace(told, result=SimpleNamespace(**values)))
+    values["primal"] = float(told.optimum.high) + 1e-9
+    values["gap"] = values["primal"] - values["dual"]
+    assert broken(replace(told, result=SimpleNamespace(**values))) == set()
+
+
 @pytest.mark.parametrize("share", range(4))
 def test_what_is_told_is_true(any_backend, share, capsys, monkeypatch):
     """Twenty problems a share, on each backend."""
