@@ -218,7 +218,7 @@ typedef struct {
     float2 step;                                  // from points of the field to pixels of the picture
     float tearing;                                // 1 over the distance at which tears begin
     float way;
-    float sharpness;                              // such that 1 / (1 + |sharpness (G - g)|^2) is the likeness
+    float sharpness;                              // such that 1 / (1 + sharpness |G - g|^2) is the likeness
 } Layer;
 
 // Whole numbers, or parts, of a pixel's place. Places are added as vectors: Oclgrind 21.10 crashes
@@ -322,23 +322,22 @@ INLINE float4 color_at(const Layer layer, const int row, const int column, const
     float down, across;
     const int2 i = between(whole.x, place.x, layer.field.x, &down);
     const int2 j = between(whole.y, place.y, layer.field.y, &across);
-    // Each point of the field has its change, then its guide.
-    const __global float4* corners[4] = {
-        layer.change + 2 * ((size_t)i.x * layer.field.y + j.x),
-        layer.change + 2 * ((size_t)i.x * layer.field.y + j.y),
-        layer.change + 2 * ((size_t)i.y * layer.field.y + j.x),
-        layer.change + 2 * ((size_t)i.y * layer.field.y + j.y)};
+    // Each point of the field has its change, then its guide. Not unrolled: GPUs would lack registers.
     float total = 0.0f;
     float4 change = (float4)(0.0f);
-#pragma unroll
+#pragma unroll 1
     for (int corner = 0; corner < 4; ++corner) {
-        const float near = (corner < 2 ? 1.0f - down : down) * (corner % 2 ? across : 1.0f - across);
-        // Squares of huge differences would overflow, and all weights be 0.
-        const float4 unlike = clamp(layer.sharpness * (corners[corner][1] - picture), -1e6f, 1e6f);
-        const float weight = near
-            / (1.0f + unlike.x * unlike.x + unlike.y * unlike.y + unlike.z * unlike.z);
+        const bool below = corner > 1, right = corner % 2 > 0;
+        const __global float4* point
+            = layer.change + 2 * ((size_t)(below ? i.y : i.x) * layer.field.y + (right ? j.y : j.x));
+        const float4 unlike = point[1] - picture;
+        const float apart
+            = layer.sharpness * (unlike.x * unlike.x + unlike.y * unlike.y + unlike.z * unlike.z);
+        const float near = (below ? down : 1.0f - down) * (right ? across : 1.0f - across);
+        // For huge colors it is infinite, and all weights would be 0.
+        const float weight = near / (1.0f + min(apart, 1e12f));
         total += weight;
-        change += weight * corners[corner][0];
+        change += weight * point[0];
     }
     return picture + layer.way / total * change;
 }

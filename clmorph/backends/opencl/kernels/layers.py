@@ -159,7 +159,7 @@ class Layers:
             both("float4", [view.to_picture.step for view in views]),
             both("float2", [1.0 / (TEAR * _unit(view)) for view in views]),
             both("float2", [view.way for view in views]),
-            np.float32(1.0 / LIKE),
+            np.float32(1.0 / LIKE**2),
         )  # fmt: skip
         buffers = [
             buffer
