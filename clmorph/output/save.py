@@ -35,6 +35,7 @@ from clmorph.output.playback import Motion, motion_of
 from clmorph.output.recording import Recording, StageProgress, recorded
 from clmorph.output.together import write_together
 from clmorph.transport.divergence import Divergence
+from clmorph.transport.matching import Assignment
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
 
@@ -137,7 +138,7 @@ def _by_ending(path: Path) -> Format:
 
 
 def save(
-    morphs: FrameSequence | Sequence[FrameSequence] | Potentials | Plan | Divergence,
+    morphs: FrameSequence | Sequence[FrameSequence] | Potentials | Plan | Divergence | Assignment,
     path: str | PathLike[str],
     *,
     format: str | None = None,
@@ -151,8 +152,8 @@ def save(
     ----------
     morphs : Morph or sequence of Morph
         One morph, or a chain in which each begins with the picture that the one before ends with.
-        Or a Potentials, Plan, Divergence or PotentialsBatch, for ``.npz`` without other options:
-        `clmorph.load` reads it, and it holds no pickles.
+        Or a Potentials, Plan, Divergence, PotentialsBatch or Assignment, for ``.npz`` without
+        other options: `clmorph.load` reads it, and it holds no pickles.
     path : path
         ``.gif``, ``.webp``, ``.apng`` (animated PNG), ``.mp4``, ``.webm``, ``.html`` (a page to
         play with), ``.png`` (a contact sheet), ``.npz`` (see `clmorph.load`), ``.tif`` (one

@@ -25,6 +25,7 @@ def solved():
         "batch": clmorph.sinkhorn_batch(
             [(np.ones(7), x), (np.ones(9), y)], [(np.ones(9), y)] * 2, **options
         ),
+        "assignment": clmorph.assignment(x, y, backend="numpy"),
     }
 
 
@@ -44,7 +45,7 @@ def _same(one, other):
     return one == other
 
 
-@pytest.mark.parametrize("name", ["potentials", "plan", "divergence", "batch"])
+@pytest.mark.parametrize("name", ["potentials", "plan", "divergence", "batch", "assignment"])
 def test_saved_and_loaded(solved, name, tmp_path):
     for path in (tmp_path / "one.npz", tmp_path / "two.npz"):
         clmorph.save(solved[name], path)
@@ -96,6 +97,25 @@ def test_damaged_plans_are_refused(solved, tmp_path):
                 archive.writestr(name, record.replace(old, new) if name == "result.npy" else data)
         with pytest.raises(InputError, match=r"bad\.npz"):
             clmorph.load(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize(
+    ("array", "values"),
+    [(0, [6, 1, 2, 3, 4, 5, 0]), (0, range(1, 8)), (1, [0] * 7), (1, range(6)), (2, range(6))],
+)
+def test_damaged_assignments_are_refused(solved, array, values, tmp_path):
+    clmorph.save(solved["assignment"], tmp_path / "out.npz")
+    with np.load(tmp_path / "out.npz") as arrays:
+        parts = dict(arrays)
+    name = f"array_{array}"
+    parts[name] = np.array(values, parts[name].dtype)
+    np.savez(tmp_path / "bad.npz", **parts)
+    with pytest.raises(InputError, match=r"bad\.npz"):
+        clmorph.load(tmp_path / "bad.npz")
+
+
+def test_assignment_is_pickled(solved):
+    assert _same(solved["assignment"], pickle.loads(pickle.dumps(solved["assignment"])))
 
 
 def test_batch_is_pickled(solved):

@@ -157,7 +157,7 @@ def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Any:
 
     Returns
     -------
-    Archive, or Potentials, Plan, Divergence or PotentialsBatch
+    Archive, or Potentials, Plan, Divergence, PotentialsBatch or Assignment
         What was saved. Potentials come without `measures`.
 
     Raises

@@ -13,6 +13,7 @@ from clmorph.output.formats.npz import Arrays
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.divergence import Divergence
 from clmorph.transport.gradient import Gradient
+from clmorph.transport.matching import Assignment
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.potentials_batch import PotentialsBatch, batch_of
@@ -20,9 +21,10 @@ from clmorph.transport.potentials_batch import PotentialsBatch, batch_of
 #: The name of the JSON text among the arrays.
 RECORD = "result"
 #: What can be saved, and the classes of its parts.
-SAVED = (Potentials, Plan, Divergence, PotentialsBatch)
+SAVED = (Potentials, Plan, Divergence, PotentialsBatch, Assignment)
 CLASSES: dict[str, Any] = {
-    each.__name__: each for each in (Potentials, Plan, Divergence, Certificate, Gradient)
+    each.__name__: each
+    for each in (Potentials, Plan, Divergence, Certificate, Gradient, Assignment)
 }
 #: Fields that belong to a process, or to the measures, which are not saved.
 LEFT_OUT = {"measures", "passes"}
@@ -156,6 +158,24 @@ def _divergence_is_valid(made: Divergence) -> bool:
     )
 
 
+def _assignment_is_valid(made: Assignment) -> bool:
+    prices, indices = made.prices, (made.rows, made.columns)
+    if not (type(prices) is tuple and len(prices) == 2 and _is_vector(*prices, *indices)):
+        return False
+    sides = [len(price) for price in prices]
+    return bool(
+        _right_types(made)
+        and all(
+            each.dtype.kind == "i"
+            and len(each) == len(np.unique(each)) == min(sides)
+            and np.all((each >= 0) & (each < side))
+            for each, side in zip(indices, sides, strict=True)
+        )
+        and np.all(np.diff(made.rows) > 0)
+    )
+
+
 CHECKS: dict[Any, Callable[[Any], bool]] = {
     Plan: plan_is_valid, Potentials: _potentials_are_valid, Divergence: _divergence_is_valid,
+    Assignment: _assignment_is_valid,
 }  # fmt: skip
