@@ -410,11 +410,19 @@ INLINE uint stage_exponents(
     ereal u[ROW_NUMBERS];                                                                      \
     OWN_ROWS(u, u, row, 1)
 
-// The same, with u of BLOCKS blocks of rows.
+// The same, with u of BLOCKS blocks of rows. With SLICE one loop forms the exponents of all blocks, and so they
+// are one array.
+#ifdef SLICE
+#define ROWS_OF_BLOCKS                                                                         \
+    ereal of_blocks[BLOCKS * ROW_NUMBERS];                                                     \
+    ereal(*const u)[ROW_NUMBERS] = (ereal(*)[ROW_NUMBERS])of_blocks
+#else
+#define ROWS_OF_BLOCKS ereal u[BLOCKS][ROW_NUMBERS]
+#endif
 #define BLOCK_SETUP                                                                            \
     TILE_SETUP(first_row + BLOCK_ROW(0));                                                      \
-    ereal u[BLOCKS][ROW_NUMBERS];                                                              \
-    OWN_ROWS(u[0], u[block], first_row + BLOCK_ROW(0), BLOCKS)
+    ROWS_OF_BLOCKS;                                                                            \
+    OWN_ROWS(of_blocks, u[block], first_row + BLOCK_ROW(0), BLOCKS)
 
 #if TOPS
 #define STAGED_TOPS __local float tops[STACKS * GROUP]

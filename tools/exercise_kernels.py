@@ -225,11 +225,30 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     return results
 
 
+def exercise_many_dimensions(operations: Operations) -> list[np.ndarray]:
+    """Run what has programs of its own from 12 coordinates on, at two slices of them."""
+    rng, epsilon = np.random.default_rng(5), 0.5
+    rows, columns = (
+        operations.upload(rng.random((n, 18)), rng.integers(0, 2, n) / n) for n in (90, 67)
+    )
+    f, g = 0.1 * rng.random(90), 0.1 * rng.random(67)
+    results = [operations.row_maxima(rows, columns, g, epsilon),
+               operations.bounded_softmin(rows, columns, g, epsilon)[0]]  # fmt: skip
+    for precise in (False, True):
+        softmin = operations.softmin(rows, columns, g, epsilon, precise)
+        limits = np.full(90, -9.0), np.full(67, np.inf)
+        results += [softmin, *operations.barycentric_projection(rows, columns, g, epsilon, precise)]
+        results += operations.plan_moments(rows, columns, g, softmin, epsilon, precise)
+        results.append(operations.plan_rows(rows, columns, f, g, epsilon, *limits, precise).mass)
+    return results
+
+
 def keep_buffers() -> None:
     """Never release a buffer, nor use one again.
 
     Oclgrind 21.10 gives a released buffer's place to the next one, with the old one's size
-    in its record of what is initialized, and then calls the rest uninitialized.
+    in its record of what is initialized, and then calls the rest uninitialized, as in
+    barycentric_projection.cl, which with many coordinates reads what it has written.
     """
     kept, create = [], cl.Buffer
 
@@ -255,7 +274,7 @@ def main(arguments: list[str]) -> int:
     keep_buffers()
     build_constants.MOMENT_CHUNK = 16  # so few particles come in several chunks
     began = time.perf_counter()
-    wanted = exercise(NumPyOperations())
+    wanted = exercise(NumPyOperations()) + exercise_many_dimensions(NumPyOperations())
     operations = OpenCLOperations(device, BUILDS[build], verify=False)
     operations.row_loop.device_levels = 0
     if not operations.has_float64:
@@ -263,7 +282,7 @@ def main(arguments: list[str]) -> int:
         # What these kernels read and write is the same in the build with float64.
         for name in ("start_iteration", "start_batch_iteration", "start_stored_iteration"):
             setattr(operations, name, lambda *_: None)
-    got = exercise(operations)
+    got = exercise(operations) + exercise_many_dimensions(operations)
     for number, (ours, theirs) in enumerate(zip(got, wanted, strict=True)):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-5, err_msg=str(number))
     print(f"{build}: {len(got)} results agree, {time.perf_counter() - began:.1f} s")
