@@ -164,7 +164,7 @@ def field_of(
     move = blurred(values[..., :2], soft)
     if not figure:
         move = _kept_at_border(move, points, canvases[1 - end])
-    return Field(move, values[..., 2:5], small.astype(float), points)
+    return Field(move, values[..., 2:5], fine[..., :3], points)
 
 
 def _kept_at_border(move: Array, points: Canvas, other: Canvas) -> Array:

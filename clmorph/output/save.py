@@ -122,7 +122,8 @@ def _save_result(value: Any, output: Output, given: Mapping[str, Any]) -> None:
     """Write a result of the solver."""
     if output.name != "npz" or given:
         raise InputError(
-            f"{output.path}: a {type(value).__name__} is saved as .npz, without other options"
+            f"{output.path}: a result of the solver ({type(value).__name__}) is saved as .npz, "
+            "without other options; choose a name that ends in .npz"
         )
     write_together([(output.place, output.path, partial(write_solved, value))])
 

@@ -18,7 +18,7 @@ from clmorph.backends.opencl.verification.layers import (
     path_cases,
     scenes,
 )
-from clmorph.backends.records import TEAR, Affine
+from clmorph.backends.records import LIKE, TEAR, Affine
 from clmorph.backends.select import get_backend
 
 REFERENCE = NumPyOperations()
@@ -222,6 +222,18 @@ def test_weights_select_a_layer(each_device, rng):
     colors = np.where(chosen[..., None] == 1, alone[0], alone[1])[..., :3]
     assert np.array_equal(found[..., :3], colors)
     assert np.array_equal(found[..., 3], np.where(chosen == 1, alone[1][..., 3], alone[0][..., 3]))
+
+
+def test_a_pixel_takes_the_change_of_the_points_that_are_like_it(any_backend_operations):
+    """Halfway between two points the likeness of their guides alone decides."""
+    guides, changes = np.array([0.0, 1.0]), np.array([0.5, -0.25])
+    field = np.zeros((1, 2, 8), np.float32)
+    field[0, :, :3], field[0, :, 4:7] = changes[:, None], guides[:, None]
+    for color in (0.0, 0.05, 0.5, 1.0, 3.0):
+        layer = still(np.full((1, 2, 4), color), way=1.0, moved=(0.0, 0.5))._replace(change=field)
+        alike = 1 / (1 + 3 * (guides - color) ** 2 / LIKE**2)
+        wanted = color + alike @ changes / alike.sum()
+        assert abs(drawn(any_backend_operations, layer)[0, 0, 0] - wanted) < 1e-5
 
 
 def test_canvas_and_picture_of_other_sizes(any_backend_operations, rng):
