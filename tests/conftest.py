@@ -27,6 +27,8 @@ from clmorph.backends.opencl.devices import verdicts
 from clmorph.backends.opencl.devices.find import Device, find_devices, tried
 from clmorph.backends.opencl.devices.quirks import find_quirks
 
+#: Helpers that have fixtures.
+pytest_plugins = ("browsers", "studio_pages")
 DEVICES = find_devices()
 USABLE = [device for device in DEVICES if device.usable]
 #: The devices to test: all usable ones with vectors, or those that `--device` names.

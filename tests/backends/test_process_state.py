@@ -154,14 +154,6 @@ def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path, fresh_sea
         os.fstat(closed[-1])
 
 
-def test_a_trial_without_time_says_what_to_do(monkeypatch):
-    monkeypatch.setattr(trial, "_run", lambda *_: trial.Ended(None, []))
-    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "7.5")
-    reason = trial.run_probe("0:0")["reason"]
-    for words in ("within 7.5 s", "tried again", "CLMORPH_PROBE_SECONDS"):
-        assert words in reason
-
-
 @pytest.mark.parametrize("value", ["0", "-3", "soon", "nan", "inf", "1e9"])
 def test_the_time_limit_is_checked(monkeypatch, value):
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", value)
@@ -516,11 +508,3 @@ def test_daemon_threads_do_not_abort_the_end():
 def test_errors_pass_between_processes():
     error = pickle.loads(pickle.dumps(PlanSizeError("too many", 7)))
     assert (str(error), error.pairs) == ("too many", 7)
-
-
-@pytest.mark.needs_device
-def test_records_are_json(asked, tmp_path):
-    """Others may read what is remembered."""
-    found_anew()
-    for file in (tmp_path / "devices").iterdir():
-        assert json.loads(file.read_text()) == WORKS

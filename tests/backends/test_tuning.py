@@ -49,17 +49,6 @@ def fast_tile(monkeypatch):
     return tried
 
 
-@pytest.mark.parametrize(
-    "constants", [cpu_constants(16), cpu_constants(4), gpu_constants(256), gpu_constants(16)]
-)
-def test_every_variant_can_be_built(constants):
-    for name in CANDIDATES:
-        for other in tuning.variants(constants, name, 256):
-            assert is_possible(other, 256)
-            assert other.tile % (other.width * other.group) == 0
-            assert other.tile % other.unroll == 0
-
-
 @pytest.mark.parametrize("start", [cpu_constants(16), gpu_constants(256)])
 def test_every_combination_is_reached(start):
     """By changes of one constant after the other."""

@@ -427,6 +427,7 @@ def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):
         (1, [LOADED, f"{BEGUN} k x.cl"], "its driver crashed (status 1) on x.cl: why", True),
         (1, [], "its probe ended with status 1: why", False),
         (None, [], "did not build and verify the kernels within 60 s", False),
+        (None, [], "tried again by the next process, and CLMORPH_PROBE_SECONDS sets", False),
     ],
 )
 def test_how_a_probe_ends_is_told(empty, status, lines, words, lasting):

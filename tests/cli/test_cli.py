@@ -1,7 +1,6 @@
 """The command line through its real entry point."""
 
 import builtins
-import dataclasses
 import json
 import os
 import pty
@@ -20,7 +19,6 @@ from PIL import Image
 import clmorph
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.cli.main import main
-from clmorph.output.save import FORMATS
 
 COMMAND = Path(sys.executable).with_name("clmorph")
 
@@ -57,16 +55,6 @@ def test_a_gif(device, pictures):
     with Image.open("out.gif") as gif:
         assert gif.n_frames == 5
     assert sorted(path.name for path in pictures.iterdir()) == ["a.png", "b.jpg", "out.gif"]
-
-
-def test_a_folder_and_a_sheet(pictures):
-    assert main(["morph", "a.png", "b.jpg", "-o", "frames", "--frames", "4"]) == 0
-    files = sorted(path.name for path in Path("frames").iterdir())
-    assert files == [f"frame-{i:04d}.png" for i in range(4)]
-    assert size("frames/frame-0000.png") == (20, 12)
-    assert size("frames/frame-0003.png") == (9, 15)
-    assert main(["morph", "a.png", "b.jpg", "-o", "sheet.png", "--frames", "4"]) == 0
-    assert size("sheet.png")[0] > 700
 
 
 @pytest.mark.full
@@ -170,20 +158,6 @@ def test_ctrl_c_leaves_nothing(pictures):
     assert sorted(pictures.iterdir()) == before
 
 
-def test_ctrl_c_while_the_second_file_is_written(pictures, monkeypatch, capfd):
-    """All files or none: the first is not left behind."""
-
-    def interrupt(*arguments):
-        raise KeyboardInterrupt
-
-    kind = dataclasses.replace(FORMATS["apng"], write=interrupt)
-    monkeypatch.setitem(FORMATS, "apng", kind)
-    before = sorted(pictures.iterdir())
-    outputs = ["-o", "x.webp", "-o", "y.apng", "--recipe", "--frames", "3"]
-    assert main(["morph", "a.png", "b.jpg", *outputs]) == 130
-    assert sorted(pictures.iterdir()) == before
-
-
 def test_what_cannot_be_written_is_said_before_anything_is_solved(pictures, monkeypatch, capfd):
     monkeypatch.setattr("clmorph.pipeline.morph.ImagePair.morph", None)
     Path("r.gif.json").mkdir()
@@ -239,15 +213,6 @@ def test_importing_is_light():
     assert told[1] == f"True True {clmorph.__version__}"
 
 
-def test_interruption_leaves_nothing(pictures, monkeypatch, capfd):
-    def interrupt(*args, **options):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("clmorph.output.recording.Recording.picture", interrupt)
-    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3"]) == 130
-    assert sorted(path.name for path in pictures.iterdir()) == ["a.png", "b.jpg"]
-
-
 def test_demo(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("clmorph.cli.demo.PHOTO_SIDE", 24)
@@ -284,13 +249,6 @@ def test_version_and_help():
         [sys.executable, "-m", "clmorph", "--version"], capture_output=True, text=True, check=True
     )
     assert clmorph.__version__ in module.stdout
-
-
-def test_an_input_is_never_overwritten(pictures, capfd):
-    before = Path("a.png").read_bytes()
-    assert main(["morph", "a.png", "b.jpg", "-o", "./a.png", "--frames", "3"]) == 2
-    assert "would overwrite an input" in capfd.readouterr().err
-    assert Path("a.png").read_bytes() == before
 
 
 def test_options_are_checked_before_devices_are_sought(pictures, capfd, monkeypatch):
@@ -352,23 +310,8 @@ def test_several_files_of_one_run(pictures, capfd):
 
 
 def test_a_summary_for_programs(pictures, capfd):
-    assert (
-        main(
-            [
-                "morph",
-                "a.png",
-                "b.jpg",
-                "-o",
-                "x.webm",
-                "--frames",
-                "5",
-                "--duration",
-                "3",
-                "--json",
-            ]
-        )
-        == 0
-    )
+    options = ["-o", "x.webm", "--frames", "5", "--duration", "3", "--json"]
+    assert main(["morph", "a.png", "b.jpg", *options]) == 0
     summary = json.loads(capfd.readouterr().out)
     assert summary["outputs"] == [{"path": "x.webm", "format": "webm"}]
     assert summary["frames"] == 5

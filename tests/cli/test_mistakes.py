@@ -153,10 +153,6 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_there_are_enough():
-    assert len(set(CASES)) >= 80
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [*CASES, *(pytest.param(*case, marks=pytest.mark.needs_device) for case in DEVICES)],

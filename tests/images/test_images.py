@@ -1,11 +1,8 @@
-from contextlib import nullcontext
-
 import numpy as np
 import pytest
-import tifffile
 from PIL import Image
 
-from clmorph import ImageWarning, InputError, fit, read_image
+from clmorph import InputError, fit, read_image
 from clmorph.images.pixels import as_pixels, as_rgb, block_size
 
 
@@ -91,109 +88,6 @@ def test_fit_leaves_small_images_alone():
 
 def test_a_thin_image_keeps_a_row():
     assert fit(np.zeros((1, 500, 3)), 20).shape == (1, 20, 3)
-
-
-@pytest.mark.parametrize("mode", ["RGB", "RGBA", "L", "LA", "P", "1", "CMYK", "I;16"])
-def test_files(tmp_path, mode):
-    gradient = np.linspace(0, 1, 16 * 12).reshape(12, 16)
-    if mode == "I;16":
-        picture = Image.fromarray((gradient * 65535).astype(np.uint16))
-    else:
-        picture = Image.fromarray((gradient * 255).astype(np.uint8)).convert(mode)
-    file = tmp_path / ("image.jpg" if mode == "CMYK" else "image.png")
-    picture.save(file)
-    pixels = read_image(file)
-    assert pixels.shape == (12, 16, 3)
-    if mode != "1":
-        assert np.abs(pixels.mean(axis=2) - gradient).max() < 0.03
-
-
-def test_orientation_is_applied(tmp_path):
-    picture = Image.new("RGB", (6, 4), "red")
-    exif = picture.getexif()
-    exif[0x0112] = 6  # turn by 90 degrees
-    picture.save(tmp_path / "turned.jpg", exif=exif)
-    assert read_image(tmp_path / "turned.jpg").shape == (6, 4, 3)
-
-
-def test_unreadable_files(tmp_path):
-    whole = tmp_path / "whole.png"
-    Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)).save(whole)
-    (tmp_path / "cut.png").write_bytes(whole.read_bytes()[:3000])
-    (tmp_path / "empty.png").write_bytes(b"")
-    (tmp_path / "text.png").write_text("not a picture")
-    for name, words in [
-        ("missing.png", "no such file"),
-        ("", "not a file"),
-        ("cut.png", "cannot be decoded"),
-        ("empty.png", "not an image"),
-        ("text.png", "not an image"),
-    ]:
-        with pytest.raises(InputError, match=words) as caught:
-            read_image(tmp_path / name)
-        assert "\n" not in str(caught.value)
-
-
-FORMATS = {
-    "still.webp": {"lossless": True},
-    "moving.gif": {"save_all": True},
-    "moving.png": {"save_all": True},
-    "moving.webp": {"save_all": True, "lossless": True},
-    "plain.bmp": {},
-    "plain.tiff": {},
-    "packed.tiff": {"compression": "tiff_lzw"},
-}
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_formats_give_their_first_picture(tmp_path, rng, name):
-    first = rng.integers(0, 6, (8, 9, 3)).astype(np.uint8) * 51
-    options = dict(FORMATS[name])
-    if "save_all" in options:
-        options["append_images"] = [Image.new("RGB", (9, 8), "blue")]
-    picture = Image.fromarray(first)
-    if name.endswith("gif"):
-        picture = picture.quantize(256)
-    picture.save(tmp_path / name, **options)
-    expected = (
-        pytest.warns(ImageWarning, match="first is taken") if "moving" in name else nullcontext()
-    )
-    with expected:
-        assert np.abs(read_image(tmp_path / name) - first / 255).max() < 0.01
-
-
-@pytest.mark.parametrize(
-    ("shape", "dtype"),
-    [((8, 9), np.uint16), ((8, 9, 3), np.uint16), ((8, 9), np.float32), ((8, 9, 3), np.float32)],
-)
-def test_deep_tiffs(tmp_path, rng, shape, dtype):
-    values = rng.random(shape)
-    data = values.astype(dtype) if dtype == np.float32 else (values * 65535).astype(dtype)
-    photometric = "rgb" if len(shape) == 3 else "minisblack"
-    tifffile.imwrite(tmp_path / "deep.tif", data, photometric=photometric)
-    want = np.broadcast_to(values.reshape(8, 9, -1), (8, 9, 3))
-    assert np.abs(read_image(tmp_path / "deep.tif") - want).max() < 1e-4
-
-
-def test_palette_transparency_is_opacity(tmp_path):
-    picture = Image.new("P", (2, 1))
-    picture.putpalette([255, 0, 0, 0, 0, 255])
-    picture.putpixel((1, 0), 1)
-    picture.save(tmp_path / "p.png", transparency=0)
-    assert read_image(tmp_path / "p.png").tolist() == [[[1, 0, 0, 0], [0, 0, 1, 1]]]
-
-
-def test_foreign_profiles_are_noted(tmp_path):
-    from PIL import ImageCms
-
-    picture = Image.new("RGB", (4, 4), "red")
-    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    picture.save(tmp_path / "srgb.png", icc_profile=srgb)
-    assert read_image(tmp_path / "srgb.png")[0, 0].tolist() == [1, 0, 0]
-    lab = ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()
-    picture.save(tmp_path / "lab.png", icc_profile=lab)
-    with pytest.warns(ImageWarning, match="taken as sRGB"):
-        assert read_image(tmp_path / "lab.png")[0, 0].tolist() == [1, 0, 0]
 
 
 def test_large_files_are_refused_before_they_are_decoded(tmp_path, monkeypatch):

@@ -135,6 +135,7 @@ def test_matrix(tmp_path, rng, samples, photometric, compression):
             compression=None if compression == "none" else compression, byteorder=order,
             extrasamples=None if alpha is None else [alpha], tile=(16, 16) if tiled else None,
             rowsperstrip=None if tiled else 7, predictor=predictor or False, metadata=None,
+            bigtiff=number % 3 == 1,
             colormap=palette if photometric == "palette" else None,
         )  # fmt: skip
         case = (alpha, planar, order, tiled, predictor)

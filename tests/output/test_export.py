@@ -96,6 +96,23 @@ def probe(file):
     return found["streams"][0] | {"format": found["format"]}
 
 
+def film_of(frames, times=None, holds=None, motion=None, **more):
+    """A film of frames; by default at equal times, without rests."""
+    times = np.linspace(0, 1, len(frames)) if times is None else np.asarray(times, float)
+    holds = np.zeros(len(frames), bool) if holds is None else np.asarray(holds)
+    shapes = [frame.shape for frame in frames]
+    return Recording(list(frames), shapes, times, holds, motion or Motion(), **more)
+
+
+def write(path, film, **look):
+    write_all([Output(path)], film, FrameStyle(**look))
+
+
+def place(folder, name, stem="out"):
+    """Where a file of a format is written, with its first ending."""
+    return folder / f"{stem}{(FORMATS[name].endings or ('',))[0]}"
+
+
 def psnr(one, other):
     error = np.mean((one.astype(float) - other.astype(float)) ** 2)
     return 10 * np.log10(255**2 / error)
@@ -203,8 +220,8 @@ def test_videos_last_as_long_as_the_film(tmp_path, name, n_images, n_frames, pac
         motion = Motion(pace["fps"], hold, loop)
     frames = [np.full((16, 16, 3), 9 * n, np.uint8) for n in range(len(holds))]
     times = np.linspace(0, n_images - 1, len(holds))
-    film = Recording(frames, [frame.shape for frame in frames], times, holds, motion)
-    write_all([Output(tmp_path / name)], film, FrameStyle(canvas="source"))
+    film = film_of(frames, times, holds, motion)
+    write(tmp_path / name, film, canvas="source")
     told = probe(tmp_path / name)
     rate = Fraction(told["r_frame_rate"])
     assert rate == motion.rate_for([seconds for _, seconds in film.played()])
@@ -224,9 +241,7 @@ def test_videos_have_true_colors(tmp_path, name):
     """Plain colors, which no codec has an excuse for: a wrong matrix would be off by 20."""
     colors = [(200, 30, 40), (20, 180, 60), (30, 60, 220), (128, 128, 128), (255, 255, 255)]
     frames = [np.full((32, 32, 3), color, np.uint8) for color in colors]
-    film = Recording(frames, [frame.shape for frame in frames], np.linspace(0, 1, 5),
-                np.zeros(5, bool), Motion())  # fmt: skip
-    write_all([Output(tmp_path / name)], film, FrameStyle(canvas="source"))
+    write(tmp_path / name, film_of(frames), canvas="source")
     for frame, color in zip(decoded(tmp_path / name), colors, strict=True):
         assert np.abs(frame.astype(int) - color).max() <= 4
 
@@ -292,15 +307,6 @@ def test_stills_are_the_frames_at_their_own_sizes(tmp_path, growing, name):
     assert found[-1].shape == (12, 16, 3)
 
 
-def test_tifffile_reads_pages_too(tmp_path, clear):
-    import tifffile
-
-    save(clear, tmp_path / "out.tiff")
-    with tifffile.TiffFile(tmp_path / "out.tiff") as tiff:
-        for page, want in zip(tiff.pages, wanted(clear), strict=True):
-            assert np.array_equal(page.asarray(), want)
-
-
 def test_npz_loads_again(tmp_path, morph, growing):
     for one in (morph, growing):
         save(one, tmp_path / "out.npz")
@@ -333,8 +339,9 @@ def test_npz_of_mean_destinations_and_of_chains(tmp_path, rng):
 def test_what_is_no_archive_is_refused(tmp_path, rng):
     np.savez(tmp_path / "other.npz", a=rng.random(3))
     (tmp_path / "text.npz").write_text("not one")
-    for name in ("other.npz", "text.npz", "missing.npz"):
-        with pytest.raises(InputError, match=name) as caught:
+    for name, words in (("other.npz", "other"), ("text.npz", "text"), ("", r"cannot be read \("),
+                        ("missing.npz", r"missing\.npz: no such file$")):  # fmt: skip
+        with pytest.raises(InputError, match=words) as caught:
             clmorph.load(tmp_path / name)
         assert "\n" not in str(caught.value)
 
@@ -402,9 +409,8 @@ def test_a_sprites_rarest_color_is_exact(tmp_path, busy):
         frames[1] = rng.integers(0, 255, (300, 300, 3))
     frames[0, 123, 257] = 255, 3, 9
     frames[2, 211, 77] = 7, 250, 40
-    film = Recording(list(frames), [(300, 300, 3)] * 3, np.array([0, 0.5, 1]),
-                np.array([True, False, True]), Motion(), pixelated=True)  # fmt: skip
-    write_all([Output(tmp_path / "out.gif")], film, FrameStyle(canvas="source"))
+    film = film_of(frames, holds=[True, False, True], pixelated=True)
+    write(tmp_path / "out.gif", film, canvas="source")
     told, _ = stills(tmp_path / "out.gif")
     for index in (0, 2):
         assert np.array_equal(told[index][..., :3], frames[index])
@@ -414,21 +420,11 @@ def test_bars_beside_pixel_art_have_the_backgrounds_color(tmp_path):
     """Also where frames that fit no better than by a whole factor have them, and no other."""
     rng = np.random.default_rng(10)
     frames = rng.integers(0, 255, (2, 12, 12, 3), np.uint8)
-    film = Recording(list(frames), [(12, 12, 3)] * 2, np.array([0.0, 1.0]), np.ones(2, bool),
-                Motion(), pixelated=True)  # fmt: skip
-    write_all(
-        [Output(tmp_path / "out.gif")], film, FrameStyle(canvas="40x40", background="#0a64c8")
-    )
+    film = film_of(frames, holds=[True, True], pixelated=True)
+    write(tmp_path / "out.gif", film, canvas="40x40", background="#0a64c8")
     for frame in stills(tmp_path / "out.gif")[0]:
         assert np.all(frame[:2, :, :3] == (10, 100, 200))
         assert np.all(frame[:, 38:, :3] == (10, 100, 200))
-
-
-def test_a_gif_of_few_colors_is_exact(tmp_path):
-    ramp = np.linspace(0, 1, 12).reshape(3, 4, 1) * np.ones(3)
-    save(plain.morph(ramp, ramp, 2), tmp_path / "out.gif", canvas="source")
-    for frame in stills(tmp_path / "out.gif")[0]:
-        assert np.array_equal(frame[..., :3], to_bytes(ramp))
 
 
 def test_a_gif_rounds_opacity(tmp_path, clear):
@@ -442,35 +438,14 @@ def test_a_gif_rounds_opacity(tmp_path, clear):
     assert np.all(first[hidden][:, 0] > 200)
 
 
-def test_shapes_are_kept_on_a_common_canvas(tmp_path):
-    """A wide frame among tall ones gets bars, and is not stretched."""
-    pair = np.ones((4, 16, 3)), np.ones((16, 4, 3))
-    save(plain.morph(*pair, 2, extent="unit"), tmp_path / "out.gif")
-    wide = stills(tmp_path / "out.gif")[0][0][..., :3]
-    assert wide.shape == (384, 384, 3)
-    assert wide[192].min() > 250
-    assert wide[:96].max() < 5
-
-
-def test_canvases(tmp_path, growing):
-    for canvas, size in (("source", (8, 6)), ("target", (16, 12)), ("40x20", (40, 20))):
-        save(growing, tmp_path / "out.apng", canvas=canvas)
-        with Image.open(tmp_path / "out.apng") as animation:
-            assert animation.size == size
-        shutil.rmtree(tmp_path / "frames", ignore_errors=True)
-        save(growing, tmp_path / "frames", canvas=canvas)
-        for file in (tmp_path / "frames").iterdir():
-            with Image.open(file) as picture:
-                assert picture.size == size
-
-
 @pytest.mark.parametrize("name", [name for name in FORMATS if name not in ("npz", "html")])
-def test_canvases_are_those_of_the_pictures_as_given_when_reversed(tmp_path, growing, name):
-    ending = (FORMATS[name].endings or ("",))[0]
-    path = tmp_path / f"out{ending}"
+@pytest.mark.parametrize("reverse", [True, False])
+def test_canvases_are_those_of_the_pictures_as_given(tmp_path, growing, name, reverse):
+    """Also when the film is reversed."""
+    path = place(tmp_path, name)
     for canvas, size in (("source", (8, 6)), ("target", (16, 12))):
         shutil.rmtree(path, ignore_errors=True)
-        save(growing, path, format=name, canvas=canvas, reverse=True)
+        save(growing, path, format=name, canvas=canvas, reverse=reverse)
         if name in ("mp4", "webm"):
             told = probe(path)
             assert (told["width"], told["height"]) == size
@@ -496,8 +471,7 @@ def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
     """All of a frame comes in: stripes one pixel wide turn gray instead of one of their colors."""
     large = np.zeros((480, 720, 3), np.uint8)
     large[:, ::2] = 255
-    film = Recording([large] * 12, [large.shape] * 12, np.linspace(0, 1, 12), np.zeros(12, bool),
-                Motion(), pixelated)  # fmt: skip
+    film = film_of([large] * 12, pixelated=pixelated)
     for look, size in (
         (FrameStyle(), (192, 128)), (FrameStyle(canvas="30x20"), (30, 20)),
         (FrameStyle(canvas="300x100"), (300, 100)),
@@ -523,8 +497,7 @@ def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
 def test_captions_of_a_contact_sheet_can_be_read(tmp_path, side):
     """Seen as a whole, or at its own size if that is small; none is cut off."""
     frames = [np.full((8, 8, 3), 128, np.uint8)] * 3
-    film = Recording(frames, [(8, 8, 3)] * 3, np.linspace(0, 1, 3), np.zeros(3, bool), Motion())
-    write_all([Output(tmp_path / "sheet.png")], film, FrameStyle(canvas=side))
+    write(tmp_path / "sheet.png", film_of(frames), canvas=side)
     width, height = map(int, side.split("x"))
     gap, label, *_ = Layout.around(width, height)
     with Image.open(tmp_path / "sheet.png") as sheet:
@@ -537,9 +510,7 @@ def test_captions_of_a_contact_sheet_can_be_read(tmp_path, side):
 def test_captions_of_a_contact_sheet_do_not_touch(tmp_path):
     """Below pictures of one column: with white between, and whole."""
     frames = np.zeros((5, 40, 1, 3), np.uint8)
-    film = Recording(list(frames), [(40, 1, 3)] * 5, np.linspace(0, 12, 5), np.zeros(5, bool),
-                Motion())  # fmt: skip
-    write_all([Output(tmp_path / "sheet.png")], film, FrameStyle(canvas="1x40"))
+    write(tmp_path / "sheet.png", film_of(frames, np.linspace(0, 12, 5)), canvas="1x40")
     with Image.open(tmp_path / "sheet.png") as sheet:
         gray = np.asarray(sheet.convert("L"))
     ink = np.flatnonzero((gray[12 + 40 + 1 : -8] < 128).any(axis=0))
@@ -577,20 +548,13 @@ def test_reverse_and_chains(tmp_path, growing):
     rng = np.random.default_rng(3)
     images = rng.random((6, 8, 3)), rng.random((12, 16, 3)), rng.random((5, 5, 3))
     chain = [plain.morph(*pair, 4) for pair in (images[:2], images[1:])]
-    save(chain, tmp_path / "tour")
-    files = sorted((tmp_path / "tour").iterdir())
-    assert len(files) == 7
-    for file, image in zip(files[::3], images, strict=True):
-        with Image.open(file) as picture:
-            assert np.abs(np.asarray(picture).astype(int) - to_bytes(image)).max() <= 1
     save(chain, tmp_path / "tour.apng", canvas="source", hold=1)
     assert stills(tmp_path / "tour.apng")[1] == [1050, 50, 50, 1050, 50, 50, 1050]
 
 
 @pytest.mark.parametrize("name", [name for name in FORMATS if name != "html"])
 def test_every_format_tells_what_made_it(tmp_path, growing, name):
-    ending = (FORMATS[name].endings or ("",))[0]
-    path = tmp_path / f"out{ending}"
+    path = place(tmp_path, name)
     told = {"clmorph": "9", "options": {"blur": 0.03, "name": 'ü "quoted" </script> \\ \n'}}
     save(growing, path, format=name, parameters=told)
     assert read_parameters(path) == told
@@ -606,8 +570,8 @@ def contents(path):
 def written_before(tmp_path_factory, growing):
     """A film's bytes in every format, each written at least two seconds ago: ZIP's unit."""
     found = {}
-    for name, format in FORMATS.items():
-        path = tmp_path_factory.mktemp(name) / f"out{(format.endings or ('',))[0]}"
+    for name in FORMATS:
+        path = place(tmp_path_factory.mktemp(name), name)
         save(growing, path, format=name)
         found[name] = contents(path)
     time.sleep(2.1)
@@ -616,7 +580,7 @@ def written_before(tmp_path_factory, growing):
 
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_the_same_film_gives_the_same_bytes(tmp_path, growing, written_before, name):
-    path = tmp_path / f"out{(FORMATS[name].endings or ('',))[0]}"
+    path = place(tmp_path, name)
     save(growing, path, format=name)
     assert contents(path) == written_before[name]
 
@@ -675,7 +639,7 @@ def partly_clear(request):
 def test_chains_with_opacity_in_one_picture(tmp_path, partly_clear, name):
     """It is there in that one's frame, and in the others' all is seen; or it lies on white."""
     chain, images = partly_clear
-    path = tmp_path / f"out{(FORMATS[name].endings or ('',))[0]}"
+    path = place(tmp_path, name)
     enlarged = name in ("webm", "mp4", "sheet")
     # What codecs blur at the edges of 4 x 4 squares of one color, they do not in the middle.
     canvas = {"sheet": "64x64", "webm": "128x128", "mp4": "128x128"}.get(name, "source")
@@ -726,8 +690,7 @@ def test_chains_with_opacity_in_one_picture(tmp_path, partly_clear, name):
 
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, name):
-    ending = (FORMATS[name].endings or ("",))[0]
-    path = tmp_path / f"out{ending}"
+    path = place(tmp_path, name)
     folder = name.endswith("folder")
     if not folder:
         path.write_text("before")
@@ -830,13 +793,12 @@ def test_progress_is_that_of_the_writing(tmp_path, growing, monkeypatch, name):
     monkeypatch.setattr(
         Recording, "picture", lambda self, n: (events.append("read"), read(self, n))[1]
     )
-    ending = (FORMATS[name].endings or ("",))[0]
 
     def progress(stage, share):
         if stage.startswith("write "):
             events.append(float(share))
 
-    save(growing, tmp_path / f"out{ending}", format=name, loop="ping-pong", progress=progress)
+    save(growing, place(tmp_path, name), format=name, loop="ping-pong", progress=progress)
     shares = [event for event in events if event != "read"]
     count = 8 if FORMATS[name].animated else 5
     assert shares == pytest.approx(np.arange(1, count + 1) / count)
@@ -851,10 +813,9 @@ def test_frames_that_repeat_or_stay_for_minutes_last_as_long(tmp_path, name, dep
     frames = np.zeros((5, 6, 7, depth), np.uint8)
     frames[3:, 2:4, 3:5] = [200, 200, 200, 255][:depth]
     frames[[0, 1, 3], 1:3, 1:4, -1] = 255
-    holds = np.array([True, False, False, False, True])
-    film = Recording(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 5), holds,
-                Motion(10, 700.0, "ping-pong"))  # fmt: skip
-    write_all([Output(tmp_path / name)], film, FrameStyle(canvas="source", lossless=True))
+    holds = [True, False, False, False, True]
+    film = film_of(frames, None, holds, Motion(10, 700.0, "ping-pong"))
+    write(tmp_path / name, film, canvas="source", lossless=True)
     told, durations = stills(tmp_path / name)
     assert sum(durations) == pytest.approx(1000 * film.duration)
     ends, shown = np.cumsum(durations), np.cumsum([seconds for _, seconds in film.played()]) * 1000
@@ -877,9 +838,7 @@ def test_ffmpeg_sees_the_same_frames(tmp_path, rng, name, clear):
         frame[2:9, 2 * number : 2 * number + 9, :3] = rng.choice([40, 90, 200], (7, 9, 1))
         frame[2:9, 2 * number : 2 * number + 9, 3] = 255
     frames = frames if clear else frames[..., :3]
-    film = Recording(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 6),
-                np.zeros(6, bool), Motion(10))  # fmt: skip
-    write_all([Output(tmp_path / name)], film, FrameStyle(canvas="source"))
+    write(tmp_path / name, film_of(frames, motion=Motion(10)), canvas="source")
     raw = subprocess.run(
         [program("ffmpeg"), "-v", "error", "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt",
          "rgba", "-"], capture_output=True, check=True,
@@ -893,27 +852,6 @@ def test_ffmpeg_sees_the_same_frames(tmp_path, rng, name, clear):
         assert np.array_equal(seen * (seen[..., 3:] > 0), frames)
 
 
-@pytest.mark.full
-def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
-    """Of a hundred frames of 256 x 256, 20 MB, only samples are in memory."""
-    import tracemalloc
-
-    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 1000)
-    rng = np.random.default_rng(7)
-    with Spool(np.uint8, tmp_path) as spool:
-        for _ in range(100):
-            spool.append(rng.integers(0, 255, (256, 256, 3), np.uint8))
-        shapes = [(256, 256, 3)] * 100
-        film = Recording(spool, shapes, np.linspace(0, 1, 100), np.zeros(100, bool), Motion())
-        tracemalloc.start()
-        try:
-            write_all([Output(tmp_path / "out.gif")], film, FrameStyle(canvas="source"))
-            _, peak = tracemalloc.get_traced_memory()
-        finally:
-            tracemalloc.stop()
-    assert peak < 14e6
-
-
 @pytest.mark.parametrize(
     ("name", "most"), [("out.webp", 16383), ("out.gif", 65535), ("out.mp4", 16384),
                        ("out.webm", 65536)]
@@ -922,9 +860,7 @@ def test_pictures_that_a_file_cannot_hold_are_refused_at_once(tmp_path, monkeypa
     """And the largest that it can hold are written."""
     wide = np.zeros((2, most + 2, 3), np.uint8)
     for width, fits in ((most + 2 - most % 2, False), (most, True)):
-        frames = [wide[:, :width]] * 2
-        film = Recording(frames, [frame.shape for frame in frames], np.array([0.0, 1.0]),
-                    np.zeros(2, bool), Motion())  # fmt: skip
+        film = film_of([wide[:, :width]] * 2)
         if fits:
             write_all([Output(tmp_path / name)], film)
             if name.endswith(("gif", "webp")):
@@ -1017,14 +953,3 @@ def test_a_folder_that_cannot_be_listed_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "iterdir", refuse)
     with pytest.raises(OutputError, match=r"frames cannot be written \(Permission denied\)"):
         Output(place)
-
-
-def test_archives_that_are_not_there(tmp_path, rng):
-    with pytest.raises(InputError, match=r"gone\.npz: no such file$"):
-        clmorph.load(tmp_path / "gone.npz")
-    with pytest.raises(InputError, match=r"cannot be read \("):
-        clmorph.load(tmp_path)
-    morph = plain.morph(*rng.random((2, 5, 6, 3)), 3, backend="numpy")
-    save(morph, tmp_path / "x.npz")
-    with pytest.raises(InputError, match=r"take [\d.]+ (kB|bytes), expected at most 900 bytes; if"):
-        clmorph.load(tmp_path / "x.npz", max_bytes=900)

@@ -22,7 +22,7 @@ from PIL import Image
 import clmorph
 from clmorph._shared import files, signals, staging
 from clmorph._shared.files import atomic_path, atomic_paths, check_place
-from clmorph._shared.staging import PREFIX, clear_leftovers, staging_folder
+from clmorph._shared.staging import PREFIX, clear_leftovers
 from clmorph.cli.main import main
 from clmorph.errors import InputError, OutputError
 from clmorph.output.save import FORMATS
@@ -339,13 +339,6 @@ def test_another_users_leftovers_stay(monkeypatch, gone):
     monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
     clear_leftovers(Path())
     assert folder.exists()
-
-
-def test_runs_side_by_side_in_one_process_keep_theirs():
-    with staging_folder(Path()) as one, staging_folder(Path()) as other:
-        clear_leftovers(Path())
-        assert names() == sorted([one.name, other.name])
-    assert names() == []
 
 
 # Places.

@@ -21,6 +21,7 @@ from clmorph.images.pixels import to_bytes
 from clmorph.output.html import (
     Curve,
     Field,
+    Marks,
     Scene,
     page,
     read_parameters,
@@ -212,6 +213,7 @@ def test_parameters_are_read_from_the_page_alone(rng, tmp_path):
 
 FRAMES = [np.zeros((2, 2, 3), np.uint8)] * 2
 ZEROS = np.zeros((2, 2))
+SIDES = (4, 4), (4, 4)
 REFUSED = {
     "no frames": (lambda: Scene([], []), "at least one"),
     "times": (lambda: Scene(FRAMES, [0.0]), "2 frames and 1 times"),
@@ -235,6 +237,11 @@ REFUSED = {
     "field's shape": (lambda: Field(ZEROS[:, :1], ZEROS), "positions have shape"),
     "field's weights": (lambda: Field(ZEROS, ZEROS, [1, -1]), "negative"),
     "field's times": (lambda: Field(ZEROS, ZEROS, begin=1, end=1), "end=1"),
+    "nan mark": (lambda: Marks([[(1, 2), (3, np.nan)]], SIDES), "expected"),
+    "flat marks": (lambda: Marks([[1, 2, 3, 4]], SIDES), "expected"),
+    "many marks": (lambda: Marks(np.zeros((257, 2, 2)), SIDES), "expected"),
+    "marks of nothing": (lambda: Marks([], ((4, 0), (4, 4))), "expected"),
+    "one shape": (lambda: Marks([], (4, 4)), "expected"),
 }
 
 

@@ -7,18 +7,15 @@ import time
 
 import numpy as np
 import pytest
-from browsers import browser, watched
+from browsers import watched
 from PIL import Image
 from plain import morph
 
 from clmorph._shared.printable import printable
-from clmorph.errors import InputError
 from clmorph.images.pixels import to_bytes
 from clmorph.measures.landmark_options import check_landmarks, read_landmarks
 from clmorph.output.html import Curve, Field, Marks, Scene, page, repr_html, scene_of
 from clmorph.output.save import save
-
-__all__ = ["browser"]
 
 DESK = {"width": 1280, "height": 800}
 PHONE = {
@@ -411,17 +408,6 @@ def test_close_arrows_are_drawn_as_their_mean(rng, show):
     assert (side / 30) ** 2 < dots < (side / 15) ** 2
 
 
-def test_many_arrows_and_none(rng, show):
-    places = rng.random((100_000, 2))
-    opened = show(scene_with(noise(rng), field=Field(places, places[::-1] - places)))
-    opened.keyboard.press("f")
-    assert arrows_shown(opened).any()
-    empty = np.zeros((0, 2))
-    opened = show(scene_with(noise(rng), field=Field(empty, empty, np.zeros(0))))
-    opened.keyboard.press("f")
-    assert not arrows_shown(opened).any()
-
-
 def test_a_page_without_arrows_or_curves_has_no_place_for_them(rng, show):
     opened = show(scene_with(noise(rng)))
     assert opened.locator("#field").is_hidden()
@@ -692,25 +678,6 @@ def test_a_notebook(rng, show):
     assert frame.evaluate("clmorph.zoom") == zoom
 
 
-def pressed(opened, name):
-    opened.get_by_role("button", name=name).click()
-
-
-def test_a_saved_morph(rng, show, tmp_path):
-    """The file of a morph whose canvas grows: press play, scrub to the middle, compare."""
-    result = morph(rng.random((10, 12, 3)), rng.random((16, 14, 3)), 9)
-    result.save(tmp_path / "out.html", fps=20, hold=0)
-    opened = show((tmp_path / "out.html").read_text("ascii"))
-    assert opened.evaluate("clmorph.times.length") == 9
-    pressed(opened, "Play")
-    until(opened, "clmorph.index >= 2")
-    pressed(opened, "Pause")
-    for place in (4, 0, 8):
-        opened.evaluate(f"clmorph.seek(clmorph.times[{place}])")
-        until(opened, f"clmorph.index === {place}")
-        assert np.array_equal(pixels(opened)[..., :3], to_bytes(result.frames[place]))
-
-
 def test_a_named_canvas_is_the_pictures_own(rng, show, tmp_path):
     """Of the source as given, also where it is shown last."""
     result = morph(rng.random((10, 12, 3)), rng.random((16, 14, 3)), 3)
@@ -833,18 +800,3 @@ def test_landmarks_on_a_phone(rng, show):
     found = np.array(opened.evaluate("clmorph.landmarks"))
     assert np.abs(found - 19.5).max() < 0.2
     assert opened.evaluate("document.documentElement.scrollWidth") <= 360
-
-
-@pytest.mark.parametrize(
-    ("pairs", "shapes"),
-    [
-        ([[(1, 2), (3, np.nan)]], ((4, 4), (4, 4))),
-        ([[1, 2, 3, 4]], ((4, 4), (4, 4))),
-        (np.zeros((257, 2, 2)), ((4, 4), (4, 4))),
-        ([], ((4, 0), (4, 4))),
-        ([], (4, 4)),
-    ],
-)
-def test_marks_that_cannot_be_used(pairs, shapes):
-    with pytest.raises(InputError, match="expected"):
-        Marks(pairs, shapes)

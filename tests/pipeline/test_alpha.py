@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from PIL import Image
 from plain import lift, morph
 
-from clmorph import InputError, fit, read_image
-from clmorph.images.pixels import to_bytes
+from clmorph import InputError
 
 
 def _disc(size, center, radius, color):
@@ -76,29 +74,6 @@ def test_transparent_pixels_do_not_take_part(device, discs):
     assert np.allclose(*plans, rtol=1e-3, atol=1e-9)
     assert plans[0][discs[0][..., 3].ravel() == 0].sum() == 0
     assert np.all(lift(discs[0]).weights[discs[0][..., 3].ravel() == 0] == 0)
-
-
-def test_files(device, discs, tmp_path):
-    for name, image in zip("ab", discs, strict=True):
-        Image.fromarray(np.round(255 * image).astype(np.uint8)).save(tmp_path / f"{name}.png")
-    pair = [fit(read_image(tmp_path / f"{name}.png"), 16) for name in "ab"]
-    assert pair[0].shape == (16, 16, 4)
-    result = morph(*pair, n_frames=4, backend=device)
-    result.save(tmp_path / "frames")
-    with Image.open(tmp_path / "frames" / "frame-0001.png") as picture:
-        assert picture.mode == "RGBA"
-        assert np.array_equal(np.asarray(picture), to_bytes(result.frames[1]))
-    result.save(tmp_path / "out.gif")
-    with Image.open(tmp_path / "out.gif") as gif:
-        assert gif.n_frames == 4
-        for number in range(4):
-            gif.seek(number)
-            alpha = np.asarray(gif.convert("RGBA"))[..., 3]
-            assert alpha[0, -1] == 0
-            assert set(np.unique(alpha)) == {0, 255}
-    result.save(tmp_path / "sheet.png")
-    with Image.open(tmp_path / "sheet.png") as sheet:
-        assert sheet.mode == "RGB"
 
 
 @pytest.mark.parametrize("options", [{}, {"splatting": "local"}, {"sigma_start": 4.0}], ids=str)

@@ -216,24 +216,6 @@ def test_public_signatures_are_mirrored():
     }
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"n_frames": 1}, {"n_frames": 2.5}, {"n_frames": "many"}, {"blur": 0}, {"reach": 0},
-        {"color_weight": -1}, {"sigma_start": 0}, {"sigma_end": -1}, {"gamma": -1},
-        {"gamma": np.nan}, {"tol": 0}, {"max_iter": 0}, {"extent": "x"}, {"splatting": "x"},
-        {"unmatched": "x"}, {"log_threshold": "x"}, {"log_threshold": -1e9},
-        {"log_threshold": -13, "sample": 2}, {"log_threshold": -13, "barycentric": True},
-    ],
-)  # fmt: skip
-def test_wrong_options(options):
-    image = np.zeros((3, 3, 3))
-    with pytest.raises(InputError) as caught:
-        morph(image, image, backend="numpy", **options)
-    assert "\n" not in str(caught.value)
-    assert next(iter(options)) in str(caught.value)
-
-
 def test_a_map_of_mass_beside_none(device):
     """The image without a map has as much mass as the other, so both fade alike."""
     red, blue = np.zeros((12, 12, 3)), np.zeros((12, 12, 3))

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browsers import browser
 from PIL import Image
 from skimage import data
 
@@ -22,8 +21,6 @@ from clmorph.clips.reading import Clip
 from clmorph.clips.writing import ClipWriter
 from clmorph.errors import InputError
 from clmorph.pipeline import clips as module
-
-__all__ = ["browser"]
 
 pytestmark = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg")
 

@@ -58,38 +58,6 @@ def test_every_value_of_every_argument(name):
         assert any(messages)
 
 
-def test_the_fuzzers_calls_are_judged_alike():
-    """What `calls` draws can be run without end; here a few."""
-    drawn = api_values.calls(np.random.default_rng(1))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
-        messages = [check(*next(drawn)) for _ in range(150)]
-    assert sum(map(bool, messages)) > 100
-    assert not all(messages)
-
-
-@pytest.mark.parametrize(
-    ("name", "fault"),
-    [
-        ("another exception", lambda: [][0]),
-        ("NaN", lambda: np.array([1.0, np.nan])),
-        ("two lines", lambda: clmorph_error("a\nb")),
-        ("changed", lambda: np.random.seed(1)),  # noqa: NPY002
-    ],
-)
-def test_the_judge_finds_faults(name, fault):
-    generator = np.random.get_state()  # noqa: NPY002
-    with pytest.raises(AssertionError):
-        check(name, fault)
-    np.random.set_state(generator)  # noqa: NPY002
-
-
-def clmorph_error(message):
-    error = clmorph.InputError()
-    error.args = (message,)  # past the constructor, which makes any message one line
-    raise error
-
-
 # --- numbers --------------------------------------------------------------------------------
 
 A = np.linspace(0.0, 1.0, 27).reshape(3, 3, 3)

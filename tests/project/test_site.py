@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from browsers import browser, watched  # noqa: F401
+from browsers import watched
 
 ROOT = Path(__file__).parents[2]
 SITE = ROOT / "tools" / "site"
@@ -119,7 +119,7 @@ def html():
 
 
 @pytest.fixture
-def opened(browser, html):  # noqa: F811
+def opened(browser, html):
     """A function that opens a page of the site, which may ask for files of the site alone."""
     with watched(browser) as (open_page, bad):
 

@@ -11,26 +11,9 @@ import time
 import zlib
 
 import pytest
-from browsers import browser
-from studio_pages import (
-    fetched,
-    fill,
-    finished,
-    frame,
-    opened,
-    pictures,
-    place,
-    port,
-    run,
-    same_by,
-    served,
-    take,
-    until,
-)
+from studio_pages import fetched, fill, finished, frame, run, same_by, served, take, until
 
 from clmorph.studio.tabs import Tab
-
-__all__ = ["browser", "opened", "pictures", "place", "port"]
 
 
 def test_from_two_pictures_to_the_same_file_as_the_command(opened, pictures, place):

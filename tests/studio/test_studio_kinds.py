@@ -6,28 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from browsers import browser
 from PIL import Image
-from studio_pages import (
-    fetched,
-    fill,
-    frame,
-    opened,
-    pictures,
-    place,
-    port,
-    previewed,
-    run,
-    same_by,
-    take,
-    until,
-)
+from studio_pages import fetched, fill, frame, previewed, run, same_by, take, until
 
 import clmorph
 from clmorph.studio.overlays import unmatched_shares
 from clmorph.studio.painting import LEVEL, read_painted
-
-__all__ = ["browser", "opened", "pictures", "place", "port"]
 
 
 def stroke(page, side, start, end):

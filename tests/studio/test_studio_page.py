@@ -4,23 +4,8 @@ import io
 
 import numpy as np
 import pytest
-from browsers import browser
 from PIL import Image
-from studio_pages import (
-    fetched,
-    fill,
-    opened,
-    pictures,
-    place,
-    port,
-    previewed,
-    run,
-    same_by,
-    take,
-    until,
-)
-
-__all__ = ["browser", "opened", "pictures", "place", "port"]
+from studio_pages import fetched, fill, previewed, run, same_by, take, until
 
 
 @pytest.mark.full

@@ -6,28 +6,13 @@ import time
 
 import numpy as np
 import pytest
-from browsers import browser
 from PIL import Image
 from sights import photograph
-from studio_pages import (
-    fetched,
-    fill,
-    opened,
-    pictures,
-    place,
-    port,
-    previewed,
-    run,
-    same_by,
-    take,
-    until,
-)
+from studio_pages import fetched, fill, previewed, run, same_by, take, until
 
 import clmorph
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.studio.making import Film
-
-__all__ = ["browser", "opened", "pictures", "place", "port"]
 
 
 @pytest.fixture(scope="module")

@@ -506,16 +506,6 @@ def test_cycles_that_end_at_the_edge_of_the_trust_region_are_no_failures(monkeyp
     assert bool(left) == (counts == 1.0)
 
 
-def test_exactly_as_many_pairs_as_are_allowed_are_stored(device):
-    problem, f, g, t_rows, t_columns, grid = stored_near(device, 24, 0.05, (0.09, 0.09))
-    given = problem, f, g, (t_rows, t_columns), 0.05**2
-    pairs = grid.problem.to_rows.stored.n_pairs
-    same = stored_grid(*given, pairs, STORED_CHOICES[:1])
-    assert same.problem.to_rows.stored.n_pairs == pairs
-    for most in (pairs - 1, pairs // 2, 0):
-        assert stored_grid(*given, most, STORED_CHOICES[:1]) is None
-
-
 @pytest.mark.full
 def test_pairs_that_wait_for_a_smaller_residual_are_stored_then(device, monkeypatch):
     """Iterations over the points reach the residual; cycles over the pairs follow."""
@@ -625,11 +615,19 @@ def test_without_memory_for_pairs_points_are_iterated_over(device, monkeypatch):
     assert got.n_iter > 10
 
 
-@pytest.mark.full
-def test_pairs_that_mislead_are_left(monkeypatch):
-    """With far too few pairs cycles do not converge; the solve does."""
-    monkeypatch.setattr(multiscale, "STORED_CHOICES", (StoredChoice(0.3, 50.0),))
-    source, target = sharp(24)
+@pytest.mark.parametrize(
+    ("measures", "changes"),
+    [
+        (pictures, {"SIDES": (6.0,), "ENOUGH": (1.0,)}),
+        pytest.param(sharp, {"STORED_CHOICES": (StoredChoice(0.3, 50.0),)}, marks=pytest.mark.full),
+    ],
+    ids=["clusters", "pairs"],
+)
+def test_what_misleads_is_left(monkeypatch, measures, changes):
+    """Clusters far larger than the blur, or far too few pairs: cycles fail, the solve does not."""
+    for name, value in changes.items():
+        monkeypatch.setattr(multiscale, name, value)
+    source, target = measures(24)
     got = sinkhorn(source, target, 0.04, 0.3, backend="numpy", multiscale=True)
     assert got.converged
     want = sinkhorn(source, target, 0.04, 0.3, 1e-5, backend="numpy", multiscale=False)
@@ -654,17 +652,6 @@ def test_without_clusters_that_save_anything(rng):
     want = reference.sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-6, 10**5)
     assert got.converged
     same_up_to_a_constant(got, want, 0.05)
-
-
-def test_clusters_that_mislead_are_left(monkeypatch):
-    """With clusters far larger than the blur cycles do not converge; the solve does."""
-    monkeypatch.setattr(multiscale, "SIDES", (6.0,))
-    monkeypatch.setattr(multiscale, "ENOUGH", (1.0,))
-    source, target = pictures(24)
-    got = sinkhorn(source, target, 0.04, 0.3, backend="numpy", multiscale=True)
-    assert got.converged
-    want = sinkhorn(source, target, 0.04, 0.3, 1e-5, backend="numpy", multiscale=False)
-    same_up_to_a_constant(got, want, 0.1)
 
 
 def test_an_earlier_solution_is_a_start(device):
@@ -697,13 +684,6 @@ def test_costs_with_offsets(device, rng):
     want = sinkhorn(source, target, 0.1, 0.3, 1e-5, backend=device)
     assert got.converged
     same_up_to_a_constant(got, want, 0.02)
-
-
-@pytest.mark.parametrize("value", ["yes", 2, None])
-def test_wrong_options(value):
-    one = plain.lift(np.zeros((2, 2)))
-    with pytest.raises(clmorph.InputError, match="multiscale"):
-        sinkhorn(one, one, backend="numpy", multiscale=value)
 
 
 def test_small_problems_are_solved_as_ever(device):
