@@ -1,11 +1,11 @@
-"""Hold assignments, grids, barycenters of grids and second derivatives to independent truths.
+"""Hold assignments, grids, barycenters and second derivatives to independent truths.
 
     python tools/random_problems.py --device intel [--count 200] [--seed 0] [--only assignments]
 
 Each kind of problem is drawn at random, with ties, far groups, points in one place, masks, uneven
 steps and reaches. What is found is compared with SciPy's exact solver, with the same problem over
-points (NumPy, float64), and with finite differences of gradients. The worst errors are printed, as
-shares of what is allowed: above 1 the status is 1.
+points (NumPy, float64), with dense minimizations by L-BFGS, and with finite differences of
+gradients. The worst errors are printed, as shares of what is allowed: above 1 the status is 1.
 """
 
 import argparse
@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import linear_sum_assignment, minimize
 from scipy.spatial.distance import cdist
 
 import clmorph
@@ -127,7 +127,7 @@ def means(rng: np.random.Generator, device: str) -> Errors:
     debias = bool(rng.integers(2))
     share = float(rng.uniform(0.1, 0.9))
     options = {"weights": [share, 1 - share], "fixed": True, "blur": 0.3, "tol": 1e-3,
-               "debias": debias, "max_iter": 50}  # fmt: skip
+               "debias": debias, "max_iter": 50, "reach": (None, 0.5)[rng.integers(2)]}  # fmt: skip
     support = pair[0].points[(kept := pair[0].mask.ravel() if pair[0].mask is not None else ...)]
     points = [(grid.weights, grid.points) for grid in pair]
     found = clmorph.barycenter(pair, support=pair[0], backend=device, **options)
@@ -135,6 +135,66 @@ def means(rng: np.random.Generator, device: str) -> Errors:
     error = np.abs(found.weights[kept] - want.weights).sum() / want.weights.sum()
     outside = found.weights.sum() - found.weights[kept].sum()
     return {"weights": error / 1e-4, "mass outside of the mask": outside / 1e-15}
+
+
+def dense_transport(
+    log_a: np.ndarray, log_b: np.ndarray, costs: np.ndarray, epsilon: float, rho: float,
+    log_u: np.ndarray,
+) -> tuple[float, np.ndarray]:  # fmt: skip
+    """Return the value of transport with the entropy relative to u x b, and exp(-f / rho)."""
+    a, b, kernel = np.exp(log_a), np.exp(log_b), np.exp(-costs / epsilon)
+    q, rest, scale = rho / (rho + epsilon), np.exp(log_u - log_a), np.ones(len(a))
+    for _ in range(50_000):
+        other = (kernel.T @ (a * rest * scale)) ** -q
+        last, scale = scale, (rest * (kernel @ (b * other))) ** -q
+        ratio = (a @ scale ** (-epsilon / rho)) / (b @ other ** (-epsilon / rho))
+        scale = scale * ratio ** (rho / epsilon / 2)
+        other = other / ratio ** (rho / epsilon / 2)
+        if np.abs(scale / last - 1).max() < 1e-13:
+            break
+    mass = (a * rest * scale) @ kernel @ (b * other)
+    f, g = epsilon * np.log(scale), epsilon * np.log(other)
+    penalties = -rho * (a @ np.expm1(-f / rho) + b @ np.expm1(-g / rho))
+    return penalties - epsilon * (mass - np.exp(log_u).sum() * b.sum()), np.exp(-f / rho)
+
+
+def masses(rng: np.random.Generator, device: str) -> Errors:
+    """Compare a barycenter with a reach on a fixed support with a dense minimization by L-BFGS."""
+    n, count, d = (int(each) for each in rng.integers((1, 1, 1), (10, 4, 4)))
+    x = rng.random((n, d))
+    points = [rng.random((rng.integers(1, 12), d)) for _ in range(count)]
+    weights = [(rng.random(len(y)) + 0.05) * 10 ** rng.uniform(-1, 1) for y in points]
+    shares = rng.dirichlet(np.ones(count))
+    epsilon, rho = rng.uniform(0.2, 0.4) ** 2, float(rng.choice([0.1, 0.3, 1.0, 3.0])) ** 2
+    debias = bool(rng.integers(2))
+    costs = [cdist(x, y, "sqeuclidean") / 2 for y in (*points, x)]
+    log_u = np.full(n, np.log(shares @ [each.sum() for each in weights] / n))
+
+    def aim(log_a: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return what is minimized, and its derivatives by the logarithms of the masses."""
+        a, value, slope = np.exp(log_a), 0.0, np.zeros(n)
+        for share, b, cost in zip(shares, weights, costs, strict=False):
+            reference = log_a if debias else log_u
+            transport, left = dense_transport(log_a, np.log(b), cost, epsilon, rho, reference)
+            value += share * (transport + debias * epsilon / 2 * (a.sum() - b.sum()) ** 2)
+            slope += share * (rho + debias * epsilon) * (1 - left)
+        if debias:
+            transport, left = dense_transport(log_a, log_a, costs[-1], epsilon, rho, log_a)
+            value -= transport / 2
+            slope -= (rho + epsilon) * (1 - left)
+        return value, slope * a
+
+    best = minimize(aim, log_u, jac=True, method="L-BFGS-B",
+                    options={"maxiter": 300, "ftol": 1e-15, "gtol": 1e-10})  # fmt: skip
+    found = clmorph.barycenter(
+        list(zip(weights, points, strict=True)), shares, x, epsilon=epsilon, rho=rho, fixed=True,
+        debias=debias, tol=1e-6, max_iter=5000, backend=device,
+    )  # fmt: skip
+    own, mass = aim(np.log(found.weights))[0], np.exp(best.x).sum()
+    return {
+        "aim above the least": (own - best.fun) / ((rho + epsilon) * mass) / 1e-5,
+        "mass": abs(found.mass / mass - 1) / 1e-3,
+    }
 
 
 def seconds(rng: np.random.Generator, device: str) -> Errors:
@@ -178,7 +238,8 @@ def seconds(rng: np.random.Generator, device: str) -> Errors:
 
 
 KINDS: dict[str, Callable[[np.random.Generator, str], Errors]] = {
-    "assignments": assignments, "grids": fields, "barycenters": means, "second": seconds,
+    "assignments": assignments, "grids": fields, "barycenters": means, "reaches": masses,
+    "second": seconds,
 }  # fmt: skip
 
 

@@ -14,7 +14,8 @@ import random_problems  # noqa: E402
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"), [("assignments", 6), ("grids", 4), ("barycenters", 2), ("second", 3)]
+    ("kind", "count"),
+    [("assignments", 6), ("grids", 4), ("barycenters", 2), ("reaches", 4), ("second", 3)],
 )
 def test_problems_are_within_their_limits(kind, count, device):
     found = random_problems.worst(kind, count, device, seed=1000)

@@ -96,11 +96,13 @@ class TestGaussians:
         np.testing.assert_allclose(covariance, turn * roots @ turn.T, atol=1e-3)
 
 
-@pytest.mark.parametrize("rho", [0.1, 1.0])
+@pytest.mark.parametrize("rho", [0.1, 1.0, 100.0])
 @pytest.mark.parametrize("debias", [True, False])
-def test_masses_of_diracs(any_backend, rho, debias):
+@pytest.mark.parametrize("fixed", [True, False])
+def test_masses_of_diracs(any_backend, rho, debias, fixed):
     """a^kappa = sum_k w_k b_k^kappa debiased; without, a (rho + epsilon m) / (rho + epsilon) is
-    sum_k w_k (a b_k)^kappa."""
+    sum_k w_k (a b_k)^kappa, or a = sum_k w_k r_k with the mean mass u of a fixed support and
+    r_k^(2 rho + epsilon) = (a b_k)^rho (u b_k)^epsilon."""
     epsilon, shares, masses = 0.01, np.array([0.25, 0.75]), np.array([1.0, 4.0])
     kappa = (rho + epsilon) / (2 * rho + epsilon)
     total = shares @ masses**kappa
@@ -108,10 +110,15 @@ def test_masses_of_diracs(any_backend, rho, debias):
     if not debias:
         factor = (rho + epsilon) / (rho + epsilon * (shares @ masses))
         wanted = (total * factor) ** (1 / (1 - kappa))
-    measures = [(np.array([mass]), np.array([[0.2, 0.3]])) for mass in masses]
+        if fixed:
+            powers = masses**kappa * (shares @ masses) ** (epsilon / (2 * rho + epsilon))
+            wanted = (shares @ powers) ** (1 / kappa)
+    place = np.array([[0.2, 0.3]])
+    measures = [(np.array([mass]), place) for mass in masses]
     found = clmorph.barycenter(
-        measures, shares, epsilon=epsilon, rho=rho, debias=debias, tol=1e-5, backend=any_backend
-    )
+        measures, shares, place, epsilon=epsilon, rho=rho, debias=debias, fixed=fixed, tol=1e-5,
+        backend=any_backend,
+    )  # fmt: skip
     assert found.mass == pytest.approx(wanted, rel=1e-4)
     np.testing.assert_allclose(found.points, [[0.2, 0.3]], atol=1e-6)
 
@@ -191,6 +198,32 @@ def test_measures_beyond_the_reach_keep_their_places(device):
     near = found.points[:, 0] < 25
     np.testing.assert_allclose(found.weights[near].sum(), 0.5 ** (1 / kappa), rtol=0.03)
     np.testing.assert_allclose(found.weights[~near].sum(), 0.5 ** (1 / kappa), rtol=0.03)
+
+
+@pytest.mark.parametrize("debias", [True, False])
+def test_a_long_reach_on_a_fixed_support_is_balanced(any_backend, debias):
+    """Shapes are alike; masses, which balanced transport scales to 1, are so to the tolerance."""
+    measures = [_bell(m, s) for m, s in zip((-0.2, 0.3), WIDTHS, strict=True)]
+    options = {"support": LINE, "blur": 0.08, "fixed": True, "debias": debias, "tol": 1e-4}
+    found, want = (
+        clmorph.barycenter(measures, SHARES, reach=reach, backend=any_backend, **options)
+        for reach in (3000.0, None)
+    )
+    assert found.n_iter == want.n_iter
+    np.testing.assert_allclose(found.weights / found.mass, want.weights, atol=1e-8)
+    assert found.mass == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("debias", [True, False])
+def test_a_fixed_support_of_measures_beyond_the_reach(any_backend, debias):
+    """Where all mass stays, it is a^kappa = w_k b_k^kappa at each of two points."""
+    kappa, masses = (1 + 0.25) / (2 + 0.25), np.array([1.0, 3.0])
+    measures = [([mass], [[place]]) for mass, place in zip(masses, (0.0, 50.0), strict=True)]
+    found = clmorph.barycenter(
+        measures, None, [[0.0], [50.0]], 0.5, 1.0, fixed=True, debias=debias, tol=1e-6,
+        backend=any_backend,
+    )  # fmt: skip
+    np.testing.assert_allclose(found.weights, masses * 0.5 ** (1 / kappa), rtol=1e-4)
 
 
 def test_a_support_out_of_reach(device):
@@ -306,7 +339,7 @@ class TestMistakes:
             ({"support": np.zeros((3, 3))}, "dimensions"),
             ({"support": 0}, "support=0"),
             ({"fixed": True}, "needs its points"),
-            ({"fixed": True, "support": np.zeros((3, 2)), "reach": 0.1}, "balanced"),
+            ({"fixed": True, "support": np.full((3, 2), 90.0), "reach": 0.1}, "no mass travels"),
             ({"reach": (0.1, 0.2)}, "one number"),
             ({"blur": -1}, "blur"),
             ({"tol": 0}, "tol"),

@@ -78,8 +78,7 @@ def barycenter(
     reach : float or None
         As in `clmorph.sinkhorn`, but one number for both sides. With a reach, masses of the
         measures may differ, and the masses of the points change as the optimum demands. None is
-        balanced transport, in which points of a free support keep their masses. A fixed support
-        needs None.
+        balanced transport, in which points of a free support keep their masses.
     tol : float
         Residual at which the iteration stops, see `Barycenter`.
     max_iter : int, optional
@@ -92,9 +91,10 @@ def barycenter(
     debias : bool
         Whether S is minimized. False minimizes the transport value OT itself on a free support,
         which is then too narrow. On a fixed one it is the usual entropic barycenter: OT with the
-        entropy relative to the counting measure of the support in place of a, as in other
-        libraries. That is not the OT of `clmorph.sinkhorn`, which would be least for masses at few
-        points; it is blurred by about blur.
+        entropy relative to even masses on the support, of the measures' mean mass, in place of a,
+        as in other libraries. That is not the OT of `clmorph.sinkhorn`, which would be least for
+        masses at few points; it is blurred by about blur. With a reach its mass depends on the
+        extent of the support.
     rho : float, optional
         reach^2, in place of `reach`; infinity is balanced.
     seed : int
@@ -143,7 +143,7 @@ def barycenter(
             check_problem(first, each, call.given, operations, "auto")
     if fixed:
         found = fixed_support(
-            problem.measures, problem.shares, problem.start, call.given.epsilon, call.debias,
+            problem.measures, problem.shares, problem.start, call.given, call.debias,
             call.tol, call.max_iter, operations, report,
         )  # fmt: skip
     else:
@@ -179,11 +179,6 @@ def checked_call(
     fixed, debias = check_flag("fixed", fixed), check_flag("debias", debias)
     most = (FIXED_ITERATIONS if fixed else FREE_ITERATIONS) if max_iter is None else max_iter
     tol, most, _ = check_solver_options(tol, most)
-    if fixed and not np.isinf(given.rho[0]):
-        raise InputError(
-            f"reach={given.rho[0] ** 0.5:g}: a fixed support is for balanced transport; "
-            "expected None, or fixed=False"
-        )
     return Call(given, tol, most, fixed, debias, check_integer("seed", seed, 0, 2**63))
 
 
@@ -202,15 +197,15 @@ def prepared(measures: Any, weights: Any, support: Any, call: Call) -> Barycente
     # A share that float64 cannot tell from 0 would divide 0 by 0.
     shown_ones = [k for k, share in enumerate(shares) if share > 0]
     used, parts = [whole[k] for k in shown_ones], [float(shares[k]) for k in shown_ones]
+    mass = float(np.dot(parts, [each.weights.sum() for each in used]))
     if call.fixed:
-        mass = float(used[0].weights.sum())
         if are_grids(*used) and (support is None or isinstance(support, Grid)):
             return BarycenterProblem(used, parts, _fixed_grid(support, used[0], mass))
         points = _fixed_points(support, used[0])
         even = np.full(len(points), mass / len(points))
         return BarycenterProblem(used, parts, WeightedPoints(points, even))
     balanced = bool(np.isinf(call.given.rho[0]))
-    start = _free_start(support, used, parts, balanced, call.seed)
+    start = _free_start(support, used, parts, mass, balanced, call.seed)
     return BarycenterProblem(used, parts, start)
 
 
@@ -244,10 +239,10 @@ def _shares(weights: Any, count: int) -> Array:
 
 
 def _free_start(
-    support: Any, measures: list[AnyMeasure], shares: list[float], balanced: bool, seed: int
-) -> WeightedPoints:
+    support: Any, measures: list[AnyMeasure], shares: list[float], mass: float, balanced: bool,
+    seed: int,
+) -> WeightedPoints:  # fmt: skip
     """Return the points with which the iteration begins."""
-    mass = float(np.dot(shares, [each.weights.sum() for each in measures]))
     if support is None or isinstance(support, int | np.integer):
         count = max(map(len, measures))
         if support is not None:

@@ -28,10 +28,9 @@ import numpy as np
 
 from clmorph._shared.typing import Progress
 from clmorph.backends.interface import Operations
-from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, WeightedPoints
 from clmorph.transport._solver.plan_softmin import sent, uploaded
-from clmorph.transport.barycenters.result import Barycenter
+from clmorph.transport.barycenters.result import Barycenter, check_mass
 from clmorph.transport.divergence import self_transport_of
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
@@ -41,9 +40,8 @@ from clmorph.transport.sinkhorn import solve
 INNER_TOL, INNER_SHARE = 1e-4, 0.1
 #: Largest number of iterations of a solve.
 INNER_ITERATIONS = 2000
-#: Largest factor by which a mass changes in one step, and the share of the mean mass of the
-#: measures below which the mass of the support is lost.
-MOST_GROWTH, LOST = 10.0, 1e-20
+#: Largest factor by which a mass changes in one step.
+MOST_GROWTH = 10.0
 #: Shares of mass that are too small to divide by.
 TINY = 1e-100
 
@@ -103,11 +101,7 @@ def free_support(
         changed = weights
         if not balanced:
             changed = weights * np.clip(growth, 1 / MOST_GROWTH, MOST_GROWTH)
-            if changed.sum() < LOST * mass:
-                raise InputError(
-                    "support: no mass travels between it and the measures; begin with points "
-                    "nearer to them, or raise the reach"
-                )
+            check_mass(changed, mass)
         moved = float(np.sqrt(weights @ (step**2).sum(axis=1) / weights.sum())) / given.blur
         change = max(moved, float(np.abs(changed - weights).sum() / weights.sum()))
         residuals.append(max(change, inexact))

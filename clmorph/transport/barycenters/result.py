@@ -7,8 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clmorph._shared.typing import Array
+from clmorph.errors import InputError
 from clmorph.measures.grid import Grid
 from clmorph.measures.points import WeightedPoints
+
+#: Share of the mean mass of the measures below which the mass of the support is lost.
+LOST = 1e-20
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -66,3 +70,12 @@ class Barycenter(WeightedPoints):
     def converged(self) -> bool:
         """Whether the residual has reached the tolerance."""
         return self.status == "converged"
+
+
+def check_mass(weights: Array, mass: float) -> None:
+    """Raise InputError if the support has lost the mass of the measures, which is `mass`."""
+    if weights.sum() < LOST * mass:
+        raise InputError(
+            "support: no mass travels between it and the measures; begin with points nearer to "
+            "them, or raise the reach"
+        )
