@@ -12,9 +12,8 @@
 
 #include "softmin_vectors.cl"
 
-// What the host says of the problem of a group: its first entry and its number of entries (0 once it has
-// stopped) of both sides, the first of its pairs of tiles, its control, see vector_steps.cl, and the trust radius.
-// The last two change in each iteration. They are arguments of the kernels if there is one problem, and 0 here; of
+// What the host says of the problem of a group: its number, its first entry and its number of entries of both
+// sides, the first of its pairs of tiles, its control, see vector_steps.cl, and the trust radius. The last two change in each iteration. They are arguments of the kernels if there is one problem, and 0 here; of
 // many problems they stand here, and the arguments are 0.
 #define PROBLEM(field) problems[get_group_id(0) * PROBLEM_COUNT + PROBLEM_##field]
 #define RADIUS PLUS(only_radius, OF_BITS(PROBLEM(RADIUS_LOW), PROBLEM(RADIUS_HIGH)))
@@ -104,7 +103,7 @@ void row_step(
     __global real* restrict next_level,        // (m / TILE,): of the next softmin
     __global float* restrict logits,             // (2, n): of the next softmin
     __global float* restrict levels,             // see prepare_softmin
-    __global real* restrict numbers)           // (problems, NUMBER_COUNT)
+    __global real* restrict numbers)           // (groups, NUMBER_COUNT)
 {
     PROBLEM_SETUP;
     rows += PROBLEM(FIRST_ROW);
@@ -176,7 +175,7 @@ void column_step(
     __global float* restrict logits,             // (2, m): of the next softmin
     __global float* restrict levels,             // see prepare_softmin
     __global real* restrict products,          // (problems, MEMORY, MEMORY)
-    __global real* restrict numbers)           // (problems, NUMBER_COUNT)
+    __global real* restrict numbers)           // (groups, NUMBER_COUNT)
 {
     PROBLEM_SETUP;
     rows += PROBLEM(FIRST_ROW);
@@ -184,7 +183,7 @@ void column_step(
     sums += PROBLEM(FIRST_COLUMN);
     row_level += first_tiles[1];
     numbers += get_group_id(0) * NUMBER_COUNT;
-    products += get_group_id(0) * MEMORY * MEMORY;
+    products += PROBLEM(NUMBER) * MEMORY * MEMORY;
     __local real shared[GROUP];
     SHARED real system[MEMORY * SYSTEM_ROW];
     const real row_damping = damping_of(epsilon, inverse_rho_source);

@@ -75,13 +75,15 @@
 #define AHEAD(j) COLUMN(COLUMN_AHEAD + (j))
 #define DIFFERENCES(j) COLUMN(COLUMN_DIFFERENCES + (j))
 
-// `control` has g's place, the parity of the iterate, whether an iterate is stored, the place of its
-// difference, and the number of differences.
-#define G_AT (control & 63u)
-#define PARITY (control >> 6 & 1u)
-#define BEGUN (control >> 7 & 1u)
-#define PLACE (control >> 8 & 15u)
-#define COUNT (control >> 12)
+// `control` has the source of g (0: the host; 1: the last image; 2: the last guess), the parity of the iterate,
+// whether an iterate is stored, the place of its difference, and the number of differences.
+#define PARITY (control >> 2 & 1u)
+#define BEGUN (control >> 3 & 1u)
+#define PLACE (control >> 4 & 15u)
+#define COUNT (control >> 8)
+#define G_AT                                                                                   \
+    ((control & 3u) == 0 ? COLUMN_START                                                        \
+                         : ((control & 3u) == 1 ? COLUMN_IMAGE_1 : COLUMN_GUESS_1) - PARITY)
 
 INLINE real sum_of_lanes(const reals v)
 {

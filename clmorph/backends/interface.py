@@ -146,18 +146,10 @@ class Operations(Protocol):
     ) -> ResidentIteration | None:
         """Return an iteration whose vectors stay on the device; None where there is none.
 
+        Rows and columns are clouds, or batches of them, whose problems then have one each.
         `weights` are the masses of both clouds, and `inverse_rho` the inverses of the marginal
         penalties, 0 if balanced.
         """
-
-    def start_batch_iteration(
-        self,
-        rows: Any,
-        columns: Any,
-        weights: tuple[Float64, Float64],
-        inverse_rho: tuple[float, float],
-    ) -> ResidentIteration | None:
-        """Return one as `start_iteration`, of all problems of batches of clouds."""
 
     def upload_batch(
         self,

@@ -142,6 +142,23 @@ def bin_grid(shape: tuple[int, int], margin: int, size: float) -> tuple[int, int
     return height, width
 
 
+#: The potential at which an iteration begins: the host's, or what the last one has found.
+START, IMAGE, GUESS = range(3)
+#: The bits of a control that have one of these, and a parity: which one of two places the
+#: iteration writes. The other place has what the last one has found.
+SOURCE, PARITY = 0b111, 0b100
+
+
+def control_of(source: Any, begun: Any, place: Any, count: Any) -> Any:
+    """Return in one number what an iteration has to know; see `ResidentIteration`."""
+    return source | begun << 3 | place << 4 | count << 8
+
+
+def next_source(control: Any, guessed: Any) -> Any:
+    """Return the source of the next iteration, which begins at this one's guess or image."""
+    return IMAGE + guessed | control & PARITY ^ PARITY
+
+
 class ResidentIteration(Protocol):
     """Sinkhorn's iteration between two clouds, or over stored pairs, with vectors on the device.
 
@@ -152,24 +169,23 @@ class ResidentIteration(Protocol):
     """
 
     def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
-        """Set the potential g at which the next iteration begins: (M,) array, cost units."""
+        """Set the potentials g, (M,), of all problems, at which iterations begin; cost units."""
 
-    def iterate(self, begun: Any, place: Any, count: Any, radius: Any) -> IterationNumbers:
-        """Run one iteration, with one wait.
+    def iterate(self, control: Any, radius: Any) -> IterationNumbers:
+        """Run one iteration, with one wait; it writes an image and a guess of the next g.
 
-        `begun` tells whether an iterate is stored, with which this one makes a difference; the
-        difference goes to `place` (0 to 15), and `count` of them (at most 16) are then stored.
-        `radius` is that of the trust region, see `clmorph.transport._solver.anderson`.
+        The control, by `control_of`, tells the `source` of g: START, or the IMAGE or GUESS of the
+        iteration before. `begun` tells whether an iterate is stored, with which this one makes a
+        difference; the difference goes to `place` (0 to 15), and `count` of them (at most 16) are
+        then stored. An iteration is dropped by another one of the same parity. `radius` is that of
+        the trust region, see `clmorph.transport._solver.anderson`.
         """
 
-    def go_on(self, extrapolated: Any, which: Any = True) -> None:
-        """Take the last iteration's extrapolation, or its image of g, as the next potential."""
-
-    def go_back(self, which: Any = True) -> None:
-        """Drop the last iteration, and take the image of the one before as the next potential."""
-
     def keep(self, problems: NDArray[np.intp]) -> None:
-        """Go on with some of many problems until the next potential is set, for all of them."""
+        """Go on with some of all problems until the next potential is set, for all of them."""
 
     def potentials(self) -> tuple[Float64, Float64, Float64]:
-        """Return f, the image of g, and T(f) after the last iteration: (N,), (M,), (M,) arrays."""
+        """Return f, (N,), images of g, (2, M), the last one at its parity, and T(f), (M,).
+
+        Those of all problems, and perhaps further numbers; no longer kept ones stay as they were.
+        """

@@ -19,6 +19,7 @@ from clmorph.backends.opencl.kernels import half_steps
 from clmorph.backends.opencl.verification.bench import Bench
 from clmorph.backends.opencl.verification.iterations import iterate, start_stored
 from clmorph.backends.opencl.verification.table import first_failure
+from clmorph.backends.records import START, control_of, next_source
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.steps import DeviceSteps, HostSteps, new_steps
 
@@ -128,10 +129,12 @@ def test_iterations_over_stored_pairs_leave_the_same_bytes(device):
     for _ in range(4):
         iteration = start_stored(case, (np.inf, np.inf))[0]
         iteration.set_potential(np.zeros(5003), case.epsilon, False)
+        source = START
         for number in range(40):
-            count = min(number, MEMORY)
-            iteration.iterate(number > 0, (number - 1) % MEMORY if number else 0, count, 30.0)
-            iteration.go_on(number > 1)
+            place, count = (number - 1) % MEMORY if number else 0, min(number, MEMORY)
+            control = control_of(source, number > 0, place, count)
+            iteration.iterate(control, 30.0)
+            source = next_source(control, number > 1)
         found.append(iteration.potentials())
     for values in found[1:]:
         for ours, theirs in zip(values, found[0], strict=True):

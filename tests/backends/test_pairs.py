@@ -120,9 +120,9 @@ def test_solves_in_pairs(without_float64, rng, reach, scale):
 
 
 def test_batches_in_pairs(without_float64, rng, monkeypatch):
-    made, start = [], without_float64.start_batch_iteration
+    made, start = [], without_float64.start_iteration
     monkeypatch.setattr(
-        without_float64, "start_batch_iteration", lambda *a: made.append(start(*a)) or made[-1]
+        without_float64, "start_iteration", lambda *a: made.append(start(*a)) or made[-1]
     )
     pairs = []
     for sizes in ((60, 1), (1, 40), (70, 130), (150, 26)):

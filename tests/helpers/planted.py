@@ -59,7 +59,7 @@ FAULTS = [
     Fault("half_steps.cl", "prepare_rows", "n_listed, k,", "n_listed, 1.01 * k,",
           "start_iteration"),
     Fault("half_steps.cl", "row_step", "sums += PROBLEM(FIRST_ROW)", "sums += 0",
-          "start_batch_iteration"),
+          "start_iteration of a batch"),
     Fault("half_steps.cl", "row_step", "COLUMN_SHIFTED", "COLUMN_SOFTMIN", "start_iteration"),
     Fault("half_steps.cl", "column_step", "solve_normal(", "!solve_normal(", "start_iteration"),
     Fault("sparse_half_steps.cl", "prepare_changes", "GIVEN_ORIGIN", "GIVEN_BASE",

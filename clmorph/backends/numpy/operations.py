@@ -81,8 +81,6 @@ class NumPyOperations:
     ) -> None:
         """Return None: all arithmetic is on the host."""
 
-    start_batch_iteration = start_iteration
-
     def bounded_softmin(
         self,
         rows: Cloud,

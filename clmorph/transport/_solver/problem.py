@@ -203,11 +203,9 @@ class Problem:
         if self.exact_sums:
             return None
         if self.truncation is None and not self._asked:
-            many = self.of_rows.shape
-            start = (
-                self.operations.start_batch_iteration if many else self.operations.start_iteration
+            self._resident = self.operations.start_iteration(
+                self.rows, self.columns, (self.a, self.b), self.inverse_rho
             )
-            self._resident = start(self.rows, self.columns, (self.a, self.b), self.inverse_rho)
             self._asked = True
         return self._resident
 

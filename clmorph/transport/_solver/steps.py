@@ -10,7 +10,14 @@ import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import MEMORY
-from clmorph.backends.records import ResidentIteration
+from clmorph.backends.records import (
+    IMAGE,
+    PARITY,
+    START,
+    ResidentIteration,
+    control_of,
+    next_source,
+)
 from clmorph.transport._solver.anderson import GROWTH, Anderson, TrustRegion
 from clmorph.transport._solver.batch import not_finite, some
 from clmorph.transport._solver.half_steps import (
@@ -147,13 +154,15 @@ class DeviceSteps:
     ahead = 1
 
     def __init__(self, problem: Problem, iteration: ResidentIteration) -> None:
-        self._problem, self._iteration = problem, iteration
+        self._problem, self._iteration, self._whole = problem, iteration, problem.reductions
         of: Any = problem.of_rows
         self._region = TrustRegion(of)
         self._begun, self._next, self._back = of.filled(False), of.filled(0), of.filled(False)
+        self._here = of.numbers(of.filled(True))
 
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
-        self._epsilon, self._guessed = epsilon, self._problem.of_rows.filled(False)
+        of: Any = self._problem.of_rows
+        self._epsilon, self._source, self._guessed = epsilon, of.filled(START), of.filled(False)
         self._iteration.set_potential(g, epsilon, precise)
 
     def update_rows(self) -> None:
@@ -164,7 +173,8 @@ class DeviceSteps:
         radius = of.choose(self._guessed & region.was_cut, GROWTH * region.radius, region.radius)
         place = of.choose(self._begun, self._next % MEMORY, 0)
         count = of.choose(self._begun, of.smaller(self._next + 1, MEMORY), 0)
-        self._numbers = self._iteration.iterate(self._begun, place, count, radius)
+        control = control_of(self._source, self._begun, place, count)
+        self._numbers = self._iteration.iterate(control, radius)
         if of.any(of.without(of.filled(True), self._numbers.finite)):
             raise not_finite(self._problem, int(np.argmin(self._numbers.finite)))
 
@@ -175,7 +185,7 @@ class DeviceSteps:
     def take_back(self, which: Any = np.True_) -> None:
         of: Any = self._problem.of_rows
         self._back = which
-        self._iteration.go_back(which)
+        self._source = of.choose(which, IMAGE | self._source & PARITY, self._source)
         self._region.rejected(which)
         self._begun, self._next = of.without(self._begun, which), of.choose(which, 0, self._next)
         self._guessed = of.without(self._guessed, which)
@@ -199,22 +209,30 @@ class DeviceSteps:
         numbers = self._numbers
         extrapolate = of.without(extrapolate, self._back)
         self._guessed = extrapolate & numbers.extrapolated
-        self._iteration.go_on(self._guessed, of.without(of.filled(True), self._back))
+        following = next_source(self._source, self._guessed)
+        self._source = of.choose(self._back, self._source, following)
         self._next = self._next + (extrapolate & self._begun)
         self._begun = self._begun | extrapolate
         self._region.was_cut = of.choose(extrapolate, numbers.cut, self._region.was_cut)
         return self._guessed
 
     def potentials(self) -> tuple[Array, Array, Array]:
-        return self._iteration.potentials()
+        f, images, t_columns = self._iteration.potentials()
+        rows, columns = (of.points_of(self._here) for of in self._whole)
+        second: Any = self._problem.of_columns.spread(self._source & PARITY) > 0
+        image = np.where(second, images[1, columns], images[0, columns])
+        return f[rows], image, t_columns[columns]
 
     def keep(self, problems: IntArray) -> Problem:
         self._problem = some(self._problem, problems, uploaded=False)
-        self._iteration.keep(problems)
         self._region.take(problems)
-        self._begun, self._next, self._guessed, self._back = (
-            values[problems] for values in (self._begun, self._next, self._guessed, self._back)
-        )
+        self._here, self._begun, self._next, self._guessed, self._back, self._source = (
+            values[problems]
+            for values in (
+                self._here, self._begun, self._next, self._guessed, self._back, self._source
+            )
+        )  # fmt: skip
+        self._iteration.keep(self._here)
         return self._problem
 
 

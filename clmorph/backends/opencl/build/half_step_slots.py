@@ -20,7 +20,8 @@ NUMBERS = (
 )  # fmt: skip
 #: What the host says of each problem before an iteration, uint32; the radius has two.
 PROBLEM = (
-    "FIRST_ROW", "N", "FIRST_COLUMN", "M", "FIRST_PAIR", "CONTROL", "RADIUS_LOW", "RADIUS_HIGH",
+    "NUMBER", "FIRST_ROW", "N", "FIRST_COLUMN", "M", "FIRST_PAIR",
+    "CONTROL", "RADIUS_LOW", "RADIUS_HIGH",
 )  # fmt: skip
 
 

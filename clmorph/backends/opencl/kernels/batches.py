@@ -63,6 +63,14 @@ def runs(firsts: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.in
     return np.arange(total) + np.repeat(firsts - (ends - lengths), lengths)
 
 
+def as_batch(cloud: Cloud | Batch) -> Batch:
+    """Return a cloud as a batch of one."""
+    if isinstance(cloud, Batch):
+        return cloud
+    counts, tiles = np.array([len(cloud)]), np.array([len(cloud.centers)])
+    return Batch(cloud, counts, tiles, cloud.box[None], {})
+
+
 class BatchLogSumExp:
     """Soft minima between the clouds of batches."""
 

@@ -1,6 +1,7 @@
 """The host of ``cl_kernels/half_steps.cl``: iterations whose vectors stay on the device."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,9 @@ from clmorph.backends.opencl.build.half_step_slots import (
     ROW_SLOTS,
 )
 from clmorph.backends.opencl.build.variants import Variant
-from clmorph.backends.opencl.kernels.batches import Batch, pairs_of, runs
+from clmorph.backends.opencl.kernels.batches import Batch, as_batch, pairs_of, runs
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
 from clmorph.backends.opencl.kernels.resident_iteration import (
-    BatchIteration,
     BoundKernels,
     DeviceIteration,
     Launch,
@@ -28,7 +28,7 @@ from clmorph.backends.opencl.kernels.resident_iteration import (
     Slots,
 )
 from clmorph.backends.opencl.kernels.row_loop import KEPT_LEVELS, LOG2_E, RowLoop, work_of_pair
-from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64
 
 #: The largest number of pairs of points on the host's processor, where a softmin of so many takes
@@ -43,7 +43,7 @@ _RATES = ("epsilon", "inverse_rho_source", "inverse_rho_target")
 _SIDES, _LOGITS = ("rows", "columns"), ("logits", "levels")
 ARGUMENTS = {
     "prepare_rows": (
-        "problems", "first_control", "n", "m", "planes", "n_listed", "k", "start", "columns",
+        "problems", "control", "n", "m", "planes", "n_listed", "k", "start", "columns",
         "row_costs", "tile_max", "row_level", *_LOGITS,
     ),
     "row_step": (
@@ -76,13 +76,26 @@ def _arguments(listed: bool, sliced: bool) -> dict[str, tuple[str, ...]]:
 
 #: Where the control of a problem stands, before the two halves of its radius.
 CONTROL = PROBLEM.index("CONTROL")
-SLOTS = Slots(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
+
+
+@dataclass(eq=False, kw_only=True)
+class BatchIteration(DeviceIteration):
+    """Iterations of many problems, each of which stops by itself, or of one.
+
+    The table, (problems, fields), is what kernels are told of each problem that is left. If there
+    are many, softmins see `listed` pairs of tiles, and the table has controls.
+    """
+
+    batches: tuple[Batch, Batch]
+    lists: tuple[TilePairs, TilePairs]
+    listed: bool
+    table: NDArray[np.uint32] = field(init=False)
 
 
 class HalfSteps(ResidentSteps):
     """Iterations over all pairs of points, of one problem or of many."""
 
-    variant = Variant("half_steps.cl")
+    variant, slots = Variant("half_steps.cl"), Slots(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         super().__init__(loop, take_turns)
@@ -97,82 +110,70 @@ class HalfSteps(ResidentSteps):
         return bool(fits) and self.is_possible()
 
     def start_iteration(
-        self, rows: Cloud, columns: Cloud, weights: tuple[Float64, Float64],
+        self, rows: Cloud | Batch, columns: Cloud | Batch, weights: tuple[Float64, Float64],
         inverse_rho: tuple[float, float],
     ) -> DeviceIteration | None:  # fmt: skip
         """Put the vectors of an iteration on the device, or return None."""
-        tiles = len(rows.centers), len(columns.centers)
-        n_pairs = rows.stride * columns.stride * work_of_pair(rows)
-        if tiles[0] * tiles[1] > KEPT_LEVELS or not self._fits(n_pairs):
-            return None
-        costs = center_costs(rows.centers[:, None], columns.centers)
-        masses = weights[0][rows.order], weights[1][columns.order]
-        table = np.zeros((1, len(PROBLEM)), np.uint32)
-        table[:, [PROBLEM.index("N"), PROBLEM.index("M")]] = rows.stride, columns.stride
-        units = self._units((rows, columns), masses)
-        arguments = self._given(
-            (rows, columns), masses, inverse_rho, units, 1, costs.size, (None, None)
-        )
-        for name, values in (("row_costs", costs), ("column_costs", costs.T)):
-            arguments[name] = self._buffer(values / units[0])
-        arguments |= {"problems": self._work.buffer(table, np.uint32), "n_listed": np.uint32(0)}
-        return DeviceIteration(
-            self, SLOTS, (rows, columns), arguments, n_pairs=2 * rows.stride * columns.stride,
-            units=units,
-        )  # fmt: skip
-
-    def start_batch_iteration(
-        self, rows: Batch, columns: Batch, weights: tuple[Float64, Float64],
-        inverse_rho: tuple[float, float],
-    ) -> DeviceIteration | None:  # fmt: skip
-        """Put the vectors of iterations of many problems on the device, or return None."""
-        tile, sides = self._loop.constants.tile, (rows, columns)
-        if not self._fits(rows.tiles * columns.tiles * tile**2 * work_of_pair(rows.cloud)):
+        tile, batches = self._loop.constants.tile, (as_batch(rows), as_batch(columns))
+        blocks = batches[0].tiles * batches[1].tiles
+        clouds = batches[0].cloud, batches[1].cloud
+        if blocks.max() > KEPT_LEVELS or not self._fits(blocks * tile**2 * work_of_pair(clouds[0])):
             return None
         masses = []
-        for side, own in zip(sides, weights, strict=True):
+        for side, own in zip(batches, weights, strict=True):
             within = runs(np.zeros_like(side.tiles), side.tiles * tile)
             padded = within >= np.repeat(side.counts, side.tiles * tile)
-            masses.append(np.where(padded, 0.0, own[side.cloud.order]))
-        pairs = pairs_of(rows, columns), pairs_of(columns, rows)
-        clouds = rows.cloud, columns.cloud
-        units = self._units(clouds, (masses[0], masses[1]))
+            masses.append(np.where(padded[: len(side.cloud)], 0.0, own[side.cloud.order]))
+        low = np.min([cloud.box[0] for cloud in clouds], axis=0)
+        high = np.max([cloud.box[1] for cloud in clouds], axis=0)
+        offsets = sum(float(np.abs(cloud.offsets).max()) for cloud in clouds)
+        units = self._chosen_units(0.5 * np.sum((high - low) ** 2) + offsets, masses[0].sum())
+        lists = pairs_of(*batches), pairs_of(*batches[::-1])
+        listed = isinstance(rows, Batch)
         arguments = self._given(
-            clouds, (masses[0], masses[1]), inverse_rho, units, len(rows.counts),
-            len(pairs[0].tiles), pairs,
-        ) | {
-            "problems": self._work.empty(4 * len(PROBLEM) * len(rows.counts)),
-            "first_control": np.uint32(0), "control": np.uint32(0), "radius": self._real(0.0),
+            clouds, (masses[0], masses[1]), inverse_rho, units, len(blocks), int(blocks.sum()),
+            lists if listed else (None, None),
+        )  # fmt: skip
+        made = BatchIteration(
+            self, clouds, arguments, np.zeros(0), units, batches=batches, lists=lists, listed=listed
+        )
+        self._keep(made, np.arange(len(blocks)))
+        return made
+
+    def _keep(self, iteration: DeviceIteration, problems: NDArray[np.intp]) -> None:
+        """Write lines of some problems, and list the pairs of their tiles, if there are many."""
+        assert isinstance(iteration, BatchIteration)
+        (rows, columns), tile, work = iteration.batches, self._loop.constants.tile, self._work
+        left = np.zeros(len(rows.counts), bool)
+        left[problems] = True
+        blocks = np.where(left, rows.tiles * columns.tiles, 0)
+        fields = {
+            "FIRST_ROW": rows.first_tiles * tile, "N": rows.tiles * tile,
+            "FIRST_COLUMN": columns.first_tiles * tile, "M": columns.tiles * tile,
+            "FIRST_PAIR": np.cumsum(blocks) - blocks, "NUMBER": np.arange(len(left)),
         }  # fmt: skip
-        made = BatchIteration(self, SLOTS, clouds, arguments, units=units)
-        table = np.zeros((len(rows.counts), len(PROBLEM)), np.uint32)
-        for side, first in zip(sides, ("FIRST_ROW", "FIRST_COLUMN"), strict=True):
-            table[:, PROBLEM.index(first)] = side.first_tiles * tile
-
-        def some(left: NDArray[np.bool_]) -> None:
-            """List the pairs of tiles of the problems that are left."""
-            blocks = np.where(left, rows.tiles * columns.tiles, 0)
-            table[:, PROBLEM.index("FIRST_PAIR")] = np.cumsum(blocks) - blocks
-            for side, field in zip(sides, ("N", "M"), strict=True):
-                table[:, PROBLEM.index(field)] = np.where(left, side.tiles * tile, 0)
-            made.arguments["n_listed"] = np.uint32(blocks.sum())
-            made.n_pairs = 2 * int(blocks.sum()) * tile**2
-            for own, side, others, listed in (
-                ("row", rows, columns, pairs[0]), ("column", columns, rows, pairs[1])
-            ):  # fmt: skip
-                there = np.repeat(left, side.tiles)
+        table = np.zeros((len(problems), len(PROBLEM)), np.uint32)
+        for name, values in fields.items():
+            table[:, PROBLEM.index(name)] = values[problems]
+        listed, units = iteration.listed, iteration.units
+        arguments: dict[str, Any] = {"problems": work.buffer(table, np.uint32)}
+        arguments["n_listed"] = np.uint32(blocks.sum() if listed else 0)
+        for own, side, others, pairs in zip(
+            ("row", "column"), iteration.batches, iteration.batches[::-1], iteration.lists,
+            strict=True,
+        ):  # fmt: skip
+            there = np.repeat(left, side.tiles)
+            kept = np.repeat(there, np.diff(pairs.starts))
+            arguments[f"{own}_costs"] = self._buffer(pairs.distances[kept] / units[0])
+            if listed:
                 per_tile = np.where(there, np.repeat(others.tiles, side.tiles), 0)
-                kept = np.repeat(there, np.diff(listed.starts))
-                buffer = self._work.buffer
-                made.arguments |= {
-                    f"{own}_starts": buffer(np.append(0, np.cumsum(per_tile)), np.uint32),
-                    f"{own}_listed": buffer(listed.tiles[kept], np.uint32),
-                    f"{own}_costs": self._buffer(listed.distances[kept] / units[0]),
-                }
-            made.version += 1
-
-        some(np.ones(len(table), bool))
-        return made.begin(table, (rows.counts, columns.counts), some)
+                starts = np.append(0, np.cumsum(per_tile))
+                arguments[f"{own}_starts"] = work.buffer(starts, np.uint32)
+                arguments[f"{own}_listed"] = work.buffer(pairs.tiles[kept], np.uint32)
+        iteration.arguments |= arguments
+        iteration.table, iteration.n_pairs = table, 2 * int(blocks.sum()) * tile**2
+        iteration.numbers = np.zeros((len(table), len(NUMBERS)) if listed else len(NUMBERS))
+        iteration.version, iteration.prepared = iteration.version + 1, -1
 
     def _given(
         self,
@@ -223,29 +224,24 @@ class HalfSteps(ResidentSteps):
         }  # fmt: skip
         numbers = {
             "none": 0, "dimension": rows.centers.shape[1], "n": rows.stride, "m": columns.stride,
-            "row_tiles": tiles[0], "column_tiles": tiles[1],
+            "row_tiles": tiles[0], "column_tiles": tiles[1], "control": 0,
             "row_shares": shares[0], "column_shares": shares[1],
         }  # fmt: skip
         return {
             **{name: work.empty(size) for name, size in n_bytes.items()},
             **{name: np.uint32(number) for name, number in numbers.items()},
-            "rows": sides[0], "columns": sides[1],
+            "rows": sides[0], "columns": sides[1], "radius": self._real(0.0),
             "row_shifts": rows.shifts_buffer, "row_centers": rows.centers_buffer,
             "column_shifts": columns.shifts_buffer, "column_centers": columns.centers_buffer,
             "inverse_rho_source": self._real(inverse_rho[0] * units[0]),
             "inverse_rho_target": self._real(inverse_rho[1] * units[0]),
         }  # fmt: skip
 
-    def _units(
-        self, clouds: tuple[Cloud, Cloud], masses: tuple[Float64, Float64]
-    ) -> tuple[float, float]:
-        """Return units of costs and masses, by their sizes."""
-        low = np.min([cloud.box[0] for cloud in clouds], axis=0)
-        high = np.max([cloud.box[1] for cloud in clouds], axis=0)
-        offsets = sum(float(np.abs(cloud.offsets).max()) for cloud in clouds)
-        return self._chosen_units(0.5 * np.sum((high - low) ** 2) + offsets, masses[0].sum())
-
     def _begin(self, iteration: DeviceIteration, g: Float64) -> dict[str, Float64]:
+        assert isinstance(iteration, BatchIteration)
+        everyone = np.arange(len(iteration.batches[0].counts))
+        if len(iteration.table) < len(everyone):
+            self._keep(iteration, everyone)
         columns = iteration.sides[1]
         own = g[columns.order] / iteration.units[0]
         return {"start": self._packed(pad(own, columns.stride, 0.0))}
@@ -254,12 +250,12 @@ class HalfSteps(ResidentSteps):
         return unsort(side, values)
 
     def _tell(
-        self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any,
-        prepare: bool,
-    ) -> list[cl.Event]:  # fmt: skip
-        if not isinstance(iteration, BatchIteration):
-            return super()._tell(iteration, bound, control, radius, prepare)
-        table, radii = iteration.table, self._packed(iteration.of_all(radius))
+        self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any
+    ) -> list[cl.Event]:
+        assert isinstance(iteration, BatchIteration)
+        if not iteration.listed:
+            return super()._tell(iteration, bound, control, radius)
+        table, radii = iteration.table, self._packed(np.asarray(radius, float))
         table[:, CONTROL] = control
         table[:, CONTROL + 1 : CONTROL + 3] = radii.view(np.uint32).reshape(-1, 2)
         buffer = iteration.arguments["problems"]
@@ -281,15 +277,15 @@ class HalfSteps(ResidentSteps):
             yield step, whole, group
 
     def _softmin_kernel(self, iteration: DeviceIteration) -> cl.Kernel:
-        listed = isinstance(iteration, BatchIteration)
+        assert isinstance(iteration, BatchIteration)
         return self._loop.kernel(
-            "log_sum_exp.cl", "log_sum_exp", iteration.sides[0], iteration.precise, listed
+            "log_sum_exp.cl", "log_sum_exp", iteration.sides[0], iteration.precise, iteration.listed
         )
 
     def _kernels(self, iteration: DeviceIteration) -> BoundKernels:
-        rows, precise = iteration.sides[0], iteration.precise
-        dimension = min(rows.centers.shape[1], SLICED_FROM)
-        listed = isinstance(iteration, BatchIteration)
+        assert isinstance(iteration, BatchIteration)
+        precise, listed = iteration.precise, iteration.listed
+        dimension = min(iteration.sides[0].centers.shape[1], SLICED_FROM)
         programs, key = self._loop.programs, (dimension, precise, listed)
         if key not in self._bound:
             kernels = programs.kernels(self.variant)

@@ -20,7 +20,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.clouds import split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
-from clmorph.backends.records import Float64, IterationNumbers
+from clmorph.backends.records import SOURCE, Float64, IterationNumbers, next_source
 from clmorph.errors import ClmorphWarning
 
 
@@ -39,183 +39,35 @@ class DeviceIteration:
 
     Its sides are clouds, or parts of stored pairs. The arguments of kernels stay while it goes
     on. Of them ``rows`` and ``columns`` hold vectors, (slots, stride), and ``start`` is the
-    host's potential.
+    host's potential. With a line of `numbers` for each of many problems it is theirs.
     """
 
     steps: "ResidentSteps"
-    slots: Slots
     sides: tuple[Any, Any]
     arguments: dict[str, Any]
+    numbers: Float64
+    units: tuple[float, float] = (1.0, 1.0)  #: of costs and masses on the device, powers of two
     epsilon: float = 0.0
     precise: bool = False
     version: int = 0  #: changes with the buffers among the arguments
     n_pairs: int = 0  #: pairs of points that the softmins of an iteration sum
-    units: tuple[float, float] = (1.0, 1.0)  #: of costs and masses on the device, powers of two
-
-    def __post_init__(self) -> None:
-        self.numbers: Float64 = np.zeros(len(self.slots.numbers))
-        self._images, self._guesses = map(self.slots.columns.index, ("IMAGE_0", "GUESS_0"))
-        self._parity: Any = 0  # which of two slots the next image has
-        self.go_to_start()
-
-    @property
-    def image_slots(self) -> tuple[int, ...]:
-        """The slots that hold the last iteration's images."""
-        return (self._images + self._parity,)
-
-    def chosen(
-        self, f: Float64, images: list[Float64], t_columns: Float64
-    ) -> tuple[Float64, Float64, Float64]:
-        """Return f, the image of g, and T(f), from what has been read of all slots."""
-        return f, images[0], t_columns
-
-    def go_to_start(self) -> None:
-        """Take the host's potential as the next one."""
-        #: The slots of the next g, and of that for which a softmin is prepared; -1 if none is.
-        self.at: Any = self.slots.columns.index("START")
-        self.prepared: Any = -1
-
-    def go_on(self, extrapolated: Any, which: Any = True) -> None:
-        """Take the last iteration's guess, or its image, as the next potential."""
-        self.at = (self._guesses if extrapolated else self._images) + self._parity
-        self._parity = 1 - self._parity
-
-    def go_back(self, which: Any = True) -> None:
-        """Drop the last iteration, and take the image of the one before as the next potential."""
-        self.at = self._images + 1 - self._parity
-
-    def keep(self, problems: NDArray[np.intp]) -> None:
-        """Go on with the only problem."""
-
-    @property
-    def is_unprepared(self) -> bool:
-        """Whether the next iteration has to prepare its first softmin."""
-        return bool(self.prepared != self.at)
-
-    def read(self) -> IterationNumbers:
-        """Return the last iteration's numbers, and note which softmin is prepared."""
-        found = dict(zip(self.slots.numbers, self.numbers.tolist(), strict=True))
-        self.prepared = (self._guesses if found["FOUND"] else self._images) + self._parity
-        return IterationNumbers(
-            found["MASS"], found["ROW_DUAL"], found["RESIDUAL_SIZE"], found["COLUMN_DUAL"],
-            bool(found["FOUND"]), bool(found["CUT"]),
-            found["ROW_FINITE"] == 0 and found["COLUMN_FINITE"] == 0, found.get("MOVED", 0.0),
-        )  # fmt: skip
-
-    def control(self, begun: Any, place: Any, count: Any) -> Any:
-        """Return what kernels need to know of an iteration; see ``cl_kernels/vector_steps.cl``."""
-        return self.at | self._parity << 6 | begun << 7 | place << 8 | count << 12
+    prepared: Any = -1  #: the part SOURCE of the controls for which a softmin is prepared
 
     def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
         """Set the potential at which the next iteration begins."""
         self.steps.set_potential(self, g, epsilon, precise)
 
-    def iterate(self, begun: Any, place: Any, count: Any, radius: Any) -> IterationNumbers:
+    def iterate(self, control: Any, radius: Any) -> IterationNumbers:
         """Run one iteration, with one wait."""
-        return self.steps.iterate(self, begun, place, count, radius)
+        return self.steps.iterate(self, control, radius)
+
+    def keep(self, problems: NDArray[np.intp]) -> None:
+        """Go on with some of many problems."""
+        self.steps.keep(self, problems)
 
     def potentials(self) -> tuple[Float64, Float64, Float64]:
-        """Return f, the image of g, and T(f) after the last iteration."""
+        """Return f, both images of g, and T(f) after the last iteration."""
         return self.steps.potentials(self)
-
-
-class BatchIteration(DeviceIteration):
-    """Iterations of many problems on the device; each stops by itself, and `keep` leaves some.
-
-    The table, (problems, fields), is what kernels are told of each problem.
-    """
-
-    table: Any = None
-
-    def begin(
-        self,
-        table: NDArray[np.uint32],
-        counts: tuple[NDArray[np.int64], NDArray[np.int64]],
-        lists: Callable[[NDArray[np.bool_]], None],
-    ) -> "BatchIteration":
-        """Take lines and counts of the problems, and a function that lists the tiles of some."""
-        self.table, self._counts, self._list = table, counts, lists
-        self._here = np.arange(len(table))
-        self.numbers = np.zeros((len(table), len(self.slots.numbers)))
-        self._parity = np.zeros(len(table), np.int64)
-        self.go_to_start()
-        return self
-
-    def go_to_start(self) -> None:
-        """Take the host's potentials, of all problems, as the next ones."""
-        if self.table is None:
-            return
-        if len(self._here) < len(self.table):
-            self._here = np.arange(len(self.table))
-            self._list(np.ones(len(self.table), bool))
-        self.at = np.full(len(self.table), self.slots.columns.index("START"))
-        self.prepared = -1
-
-    def go_on(self, extrapolated: Any, which: Any = True) -> None:
-        """Take the guesses, or the images, of some problems as the next potentials."""
-        here = self._here[np.broadcast_to(which, self._here.shape)]
-        taken = np.where(extrapolated, self._guesses, self._images)
-        taken = np.broadcast_to(taken, self._here.shape)
-        self.at[self._here] = np.where(which, taken + self._parity[self._here], self.at[self._here])
-        self._parity[here] = 1 - self._parity[here]
-
-    def go_back(self, which: Any = True) -> None:
-        """Drop the last iteration of some problems, which go on at the images before."""
-        here = self._here[np.broadcast_to(which, self._here.shape)]
-        self.at[here] = self._images + 1 - self._parity[here]
-
-    @property
-    def is_unprepared(self) -> bool:
-        """Whether the next iteration has to prepare the first softmin of any problem."""
-        return bool(np.any((self.prepared != self.at)[self._here]))
-
-    def control(self, begun: Any, place: Any, count: Any) -> Any:
-        """Return what kernels need to know of an iteration of each problem."""
-        own = (self.of_all(each).astype(np.int64) for each in (begun, place, count))
-        return super().control(*own)
-
-    def of_all(self, values: Any) -> Float64:
-        """Return numbers of the problems that are left as such of all problems."""
-        own = np.zeros(len(self.table))
-        own[self._here] = values
-        return own
-
-    def read(self) -> IterationNumbers:
-        """Return the last iteration's numbers, and note which softmins are prepared."""
-        found = dict(zip(self.slots.numbers, self.numbers[self._here].T, strict=True))
-        self.prepared = self._parity + np.where(
-            self.numbers[:, self.slots.numbers.index("FOUND")] != 0, self._guesses, self._images
-        )
-        return IterationNumbers(
-            found["MASS"], found["ROW_DUAL"], found["RESIDUAL_SIZE"], found["COLUMN_DUAL"],
-            found["FOUND"] != 0, found["CUT"] != 0,
-            (found["ROW_FINITE"] == 0) & (found["COLUMN_FINITE"] == 0), np.zeros(len(self._here)),
-        )  # fmt: skip
-
-    @property
-    def image_slots(self) -> tuple[int, ...]:
-        """Both slots of images: problems may have either one."""
-        return self._images, self._images + 1
-
-    def chosen(
-        self, f: Float64, images: list[Float64], t_columns: Float64
-    ) -> tuple[Float64, Float64, Float64]:
-        """Return f, the image of g, and T(f) of the problems that are left."""
-        here = np.zeros(len(self.table), bool)
-        here[self._here] = True
-        of_rows, of_columns = (np.repeat(here, counts) for counts in self._counts)
-        parity = np.repeat(self._parity, self._counts[1])
-        image = np.where(parity, *(each[: len(parity)] for each in images[::-1]))
-        n, m = len(of_rows), len(of_columns)  # points that pad tiles come after all others
-        return f[:n][of_rows], image[of_columns], t_columns[:m][of_columns]
-
-    def keep(self, problems: NDArray[np.int64]) -> None:
-        """Go on with some of the problems."""
-        self._here = self._here[problems]
-        left = np.zeros(len(self.table), bool)
-        left[self._here] = True
-        self._list(left)
-        self.prepared = -1  # levels have the order of the lists
 
 
 class BoundKernels:
@@ -283,6 +135,8 @@ def _power_near(size: float) -> float:
     return 2.0 ** round(math.log2(size)) if size > 0 else 1.0
 
 
+#: The vectors of the columns that the caller gets.
+COLUMN_RESULTS = "IMAGE_0", "IMAGE_1", "SOFTMIN"
 #: A kernel's name, and its global and local size.
 Launch = tuple[str, tuple[int, ...], tuple[int, ...] | None]
 
@@ -293,8 +147,9 @@ class ResidentSteps(ABC):
     take_turns: makes methods run one at a time on a device, see `OpenCLOperations`.
     """
 
-    #: The variant of the kernels of the iteration.
+    #: The variant of the kernels of the iteration, and what stands in their buffers.
     variant: Variant
+    slots: Slots
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         self._work, self._programs, self._constants = loop.work, loop.programs, loop.constants
@@ -302,6 +157,7 @@ class ResidentSteps(ABC):
         self._is_possible: bool | None = None
         self.set_potential = take_turns(self._set_potential)
         self.iterate = take_turns(self._iterate)
+        self.keep = take_turns(self._keep)
         self.potentials = take_turns(self._potentials)
 
     def is_possible(self) -> bool:
@@ -336,6 +192,9 @@ class ResidentSteps(ABC):
     def _in_order(self, side: Any, values: Float64) -> Float64:
         """Return values of a side in the caller's order."""
 
+    def _keep(self, iteration: DeviceIteration, problems: NDArray[np.intp]) -> None:  # noqa: B027
+        """Go on with some of many problems."""
+
     def _scalars(self, iteration: DeviceIteration) -> dict[str, Any]:
         """Return the arguments that follow from epsilon."""
         epsilon = iteration.epsilon / iteration.units[0]
@@ -364,23 +223,27 @@ class ResidentSteps(ABC):
         """Return potentials, in the caller's units, from what was read."""
         return of_pairs(values) * iteration.units[0] if self._in_pairs else values
 
-    def _read_numbers(self, iteration: DeviceIteration) -> None:
-        """Bring the numbers that were read to the caller's units."""
-        if not self._in_pairs:
-            return
-        iteration.numbers[...] = of_pairs(iteration.numbers)
-        cost, mass = iteration.units
-        scales = {"MASS": mass, "ROW_DUAL": cost * mass, "COLUMN_DUAL": cost * mass, "MOVED": cost}
-        for place, name in enumerate(iteration.slots.numbers):
-            iteration.numbers[..., place] *= scales.get(name, 1.0)
+    def _found(self, iteration: DeviceIteration) -> IterationNumbers:
+        """Return the numbers that were read, in the caller's units."""
+        names, numbers = self.slots.numbers, iteration.numbers
+        if self._in_pairs:
+            numbers[...] = of_pairs(numbers)
+            cost, mass = iteration.units
+            scales = {"MASS": mass, "ROW_DUAL": cost * mass, "COLUMN_DUAL": cost * mass}
+            for place, name in enumerate(names):
+                numbers[..., place] *= scales.get(name, cost if name == "MOVED" else 1.0)
+        values: Any = numbers.tolist() if numbers.ndim == 1 else numbers.T.copy()
+        found = dict(zip(names, values, strict=True))
+        return IterationNumbers(
+            found["MASS"], found["ROW_DUAL"], found["RESIDUAL_SIZE"], found["COLUMN_DUAL"],
+            found["FOUND"] != 0, found["CUT"] != 0,
+            (found["ROW_FINITE"] == 0) & (found["COLUMN_FINITE"] == 0), found.get("MOVED", 0.0),
+        )  # fmt: skip
 
     def _tell(
-        self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any,
-        prepare: bool,
-    ) -> list[cl.Event]:  # fmt: skip
+        self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any
+    ) -> list[cl.Event]:
         """Tell kernels of the next iteration, and return what they have to wait for."""
-        if prepare:
-            bound.set("first_control", np.uint32(control))
         bound.set("control", np.uint32(control))
         bound.set("radius", self._real(radius))
         return []
@@ -389,24 +252,21 @@ class ResidentSteps(ABC):
         self, iteration: DeviceIteration, g: Float64, epsilon: float, precise: bool
     ) -> None:
         """Write the potential at which the next iteration begins; see `ResidentIteration`."""
-        iteration.epsilon, iteration.precise = epsilon, precise
-        iteration.go_to_start()
+        iteration.epsilon, iteration.precise, iteration.prepared = epsilon, precise, -1
         for name, content in self._begin(iteration, np.asarray(g, float)).items():
             buffer = iteration.arguments[name]
             cl.enqueue_copy(self._work.queue, buffer, content, is_blocking=True)
 
-    def _iterate(
-        self, iteration: DeviceIteration, begun: Any, place: Any, count: Any, radius: Any
-    ) -> IterationNumbers:
+    def _iterate(self, iteration: DeviceIteration, control: Any, radius: Any) -> IterationNumbers:
         """Enqueue one iteration, wait for it, and return its numbers."""
         check_cancelled()
         queue, bound = self._work.queue, self._kernels(iteration)
         bound.bind(iteration, self._scalars)
-        prepare, iteration.prepared = iteration.is_unprepared, -1
-        control, events = iteration.control(begun, place, count), list[cl.Event]()
+        prepare = bool(np.any(iteration.prepared != control & SOURCE))
+        iteration.prepared, events = -1, list[cl.Event]()
         launched, began = list[tuple[cl.Kernel, cl.Event]](), time.perf_counter()
         try:
-            events += self._tell(iteration, bound, control, radius, prepare)
+            events += self._tell(iteration, bound, control, radius)
             for name, size, group in self._launches(iteration, prepare):
                 kernel, before = bound.kernels[name], events[-1:]
                 events.append(
@@ -428,32 +288,31 @@ class ResidentSteps(ABC):
             bound.budget.learn(iteration.n_pairs, time.perf_counter() - began)
         for kernel, event in launched:
             self._work.note(kernel, event)
-        self._read_numbers(iteration)
-        return iteration.read()
+        found = self._found(iteration)
+        iteration.prepared = next_source(control, found.extrapolated)
+        return found
 
     def _potentials(self, iteration: DeviceIteration) -> tuple[Float64, Float64, Float64]:
-        """Return f, the image of g, and T(f) after the last iteration."""
-        slots, found, events = iteration.slots, [], []
+        """Return f, both images of g, (2, M), and T(f) after the last iteration."""
+        slots, (rows, columns), found, events = self.slots, iteration.sides, [], []
         places = (
-            (0, "rows", slots.rows.index("SHIFTED")),
-            *((1, "columns", slot) for slot in iteration.image_slots),
-            (1, "columns", slots.columns.index("SOFTMIN")),
-        )  # fmt: skip
+            (rows, "rows", slots.rows.index("SHIFTED")),
+            *((columns, "columns", slots.columns.index(name)) for name in COLUMN_RESULTS),
+        )
         try:
             for side, name, slot in places:
-                cloud = iteration.sides[side]
-                found.append(np.empty(len(cloud)))
+                found.append(np.empty(len(side)))
                 events.append(
                     cl.enqueue_copy(
                         self._work.queue, found[-1], iteration.arguments[name],
-                        src_offset=8 * slot * cloud.stride, is_blocking=False,
+                        src_offset=8 * slot * side.stride, is_blocking=False,
                     )
                 )  # fmt: skip
         finally:
             if events:
                 cl.wait_for_events(events)
         f, *images, t_columns = (
-            self._in_order(iteration.sides[side], self._read(iteration, values))
+            self._in_order(side, self._read(iteration, values))
             for (side, *_), values in zip(places, found, strict=True)
         )
-        return iteration.chosen(f, images, t_columns)
+        return f, np.array(images), t_columns

@@ -46,7 +46,7 @@ _MASSES, _GIVEN = ("source_mass", "target_mass"), ("given_rows", "given_columns"
 _VECTORS, _FOUND = ("rows", "columns"), ("partials", "numbers")
 ARGUMENTS = {
     PREPARATION: (
-        "m", "first_control", "k", "start", "given_columns", "columns", "column_changes", "numbers",
+        "m", "control", "k", "start", "given_columns", "columns", "column_changes", "numbers",
     ),
     "row_softmins": (
         *_SIZES, "control", "k", *_RATES, "maxima", "sums", *_GIVEN, *_VECTORS, *_FOUND,
@@ -67,7 +67,6 @@ ARGUMENTS = {
     ),
     END: ("control", "groups", "partials", "newest", "products", "numbers"),
 }  # fmt: skip
-SLOTS = Slots(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
 #: The share of the limits of memory that buffers may take: a pool rounds sizes up.
 MOST_MEMORY = 7 / 8
 
@@ -92,7 +91,7 @@ class StoredSteps(ResidentSteps):
     most_groups: largest number of work-groups of a loop over vectors.
     """
 
-    variant = Variant("sparse_half_steps.cl")
+    variant, slots = Variant("sparse_half_steps.cl"), Slots(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         super().__init__(loop, take_turns)
@@ -136,9 +135,9 @@ class StoredSteps(ResidentSteps):
             **dict(zip((*_RATES[1:], *_MASSES), map(self._real, given), strict=True)),
         }  # fmt: skip
         return StoredIteration(
-            self, SLOTS, sides, arguments, pairs=pairs, origin=columns.origin,
-            counted=columns.masses > 0, row_middle=0.5 * float(moved.min() + moved.max()),
-            units=units,
+            self, sides, arguments, np.zeros(len(NUMBERS)), units,
+            pairs=pairs, origin=columns.origin, counted=columns.masses > 0,
+            row_middle=0.5 * float(moved.min() + moved.max()),
         )  # fmt: skip
 
     def _buffers(self, pairs: tuple[Side, Side]) -> dict[str, cl.MemoryObject] | None:

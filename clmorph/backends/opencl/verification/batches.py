@@ -8,6 +8,7 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.verification.bench import Bench, Clouds, Findings, clustered
 from clmorph.backends.opencl.verification.findings import LARGEST_BOUND, Finding, largest
+from clmorph.backends.records import IMAGE, PARITY, START, control_of, next_source
 
 #: Numbers of points of the rows and the columns of each problem: single points, whole tiles and
 #: parts of them, and several tiles.
@@ -71,7 +72,7 @@ def batch_iterations(bench: Bench) -> Findings:
         np.concatenate(own)
         for own in zip(*((case.rows[1], case.columns[1]) for case in problems), strict=True)
     )
-    many = operations.start_batch_iteration(*_upload(operations, problems), masses, rates)
+    many = operations.start_iteration(*_upload(operations, problems), masses, rates)
     if many is None:
         return
     many.set_potential(np.concatenate([case.g for case in problems]), EPSILON, False)
@@ -81,30 +82,33 @@ def batch_iterations(bench: Bench) -> Findings:
         assert own is not None, "the problem of a batch has no iteration of its own"
         own.set_potential(case.g, EPSILON, False)
         singles.append(own)
-    here = np.arange(4)
+    here, sources = np.arange(4), np.full(4, START)
     for number in range(4):
-        begun, place = number > 0, max(number - 1, 0)
-        each = (np.full(len(here), value) for value in (begun, place, number, 32.0))
-        found = many.iterate(*each)
-        wanted = [singles[k].iterate(begun, place, number, 32.0) for k in here]
-        parts = zip(*(singles[k].potentials() for k in here), strict=True)
+        controls = control_of(sources[here], number > 0, max(number - 1, 0), number)
+        found = many.iterate(controls, np.full(len(here), 32.0))
+        wanted = [
+            singles[k].iterate(int(control), 32.0)
+            for k, control in zip(here, controls, strict=True)
+        ]
+        f, images, t_columns = many.potentials()
+        ends = [np.cumsum(sizes) for sizes in zip(*SIZES[:4], strict=True)]
+        parts = [
+            np.split(each, ends[side], -1) for side, each in ((0, f), (1, images), (1, t_columns))
+        ]
         errors = [
-            largest(got - np.concatenate(want)) / EPSILON
-            for got, want in zip(many.potentials(), parts, strict=True)
+            largest(parts[part][k] - got) / EPSILON
+            for k in here
+            for part, got in enumerate(singles[k].potentials())
         ]
         errors += [
             largest(getattr(found, name) - np.array([getattr(one, name) for one in wanted]))
             for name in ("residual", "mass")
         ]
-        yield Finding(f"start_batch_iteration, step {number}", max(errors), 1e-4, "nats")
+        yield Finding(f"start_iteration of a batch, step {number}", max(errors), 1e-4, "nats")
         back = (here == 1) & (number == 2)
-        many.go_back(back)
-        many.go_on(found.extrapolated & ~back, ~back)
-        for k, one, is_back in zip(here, wanted, back, strict=True):
-            if is_back:
-                singles[k].go_back()
-            else:
-                singles[k].go_on(one.extrapolated)
+        sources[here] = np.where(
+            back, IMAGE | controls & PARITY, next_source(controls, found.extrapolated)
+        )
         if number == 1:
             here = np.array([0, 1, 3])
             many.keep(here)

@@ -13,7 +13,17 @@ from clmorph.backends.opencl.build.variants import KERNELS, Variant
 from clmorph.backends.opencl.verification.batches import batch_iterations
 from clmorph.backends.opencl.verification.bench import Bench, Clouds, Findings, check
 from clmorph.backends.opencl.verification.findings import Finding, largest
-from clmorph.backends.records import Float64, IterationNumbers, ResidentIteration, StoredVectors
+from clmorph.backends.records import (
+    IMAGE,
+    PARITY,
+    START,
+    Float64,
+    IterationNumbers,
+    ResidentIteration,
+    StoredVectors,
+    control_of,
+    next_source,
+)
 
 #: Points of a side whose loops have more work-groups than a group of 64 has items.
 LONG_VECTOR = 5003
@@ -143,25 +153,28 @@ def iterate(case: Clouds, balanced: int, over_stored: bool = False) -> Iterator[
     later = undamped if balanced == 3 else plain
 
     def compared(
-        x: Float64, allowed: float, detail: str, *arguments: float
+        x: Float64, allowed: float, detail: str, control: int, radius: float = WIDE
     ) -> tuple[Finding, IterationNumbers, _Step]:
-        got, want = iteration.iterate(*arguments), _step(problem, x)
+        got, want = iteration.iterate(control, radius), _step(problem, x)
+        f, images, _ = iteration.potentials()
         found = [np.empty(size) for size in case.shape]
-        for order, ours, values in zip(orders, found, iteration.potentials()[:2], strict=True):
+        for order, ours, values in zip(
+            orders, found, (f, last_image(images, control)), strict=True
+        ):
             ours[order] = values
         error, detail = _excess(problem, want, got, *found), f", balanced {balanced}, {detail}"
         return case.finding(operation, error, allowed, detail=detail), got, want
 
     iteration.set_potential(case.g[orders[1]], epsilon, False)
-    x, previous, weights = case.g, None, case.g
+    x, previous, weights, source = case.g, None, case.g, START
     ahead: list[Float64] = []
     differences: list[Float64] = []
     for number in range(4):
         radius = NARROW if number == 2 else WIDE
+        control = control_of(source, number > 0, max(number - 1, 0), number)
         finding, got, want = compared(
-            x, plain if number < 2 else later, f"step {number}", number > 0, max(number - 1, 0),
-            number, radius,
-        )  # fmt: skip
+            x, plain if number < 2 else later, f"step {number}", control, radius
+        )
         yield finding
         residual = want.image - x
         if previous is None:
@@ -178,12 +191,16 @@ def iterate(case: Clouds, balanced: int, over_stored: bool = False) -> Iterator[
         wrong = float(got.extrapolated != (guess is not None))
         detail = f", balanced {balanced}, guess {number}"
         yield case.finding(operation, wrong, 0.5, "wrong", detail=detail)
-        iteration.go_on(guess is not None)
+        source = next_source(control, guess is not None)
         x = want.image if guess is None else guess
     # The last iterate is dropped, as if its dual were too small.
-    iteration.iterate(False, 0, 0, WIDE)
-    iteration.go_back()
-    yield compared(want.image, later, "taken back", False, 0, 0, WIDE)[0]
+    iteration.iterate(source, WIDE)
+    yield compared(want.image, later, "taken back", IMAGE | source & PARITY)[0]
+
+
+def last_image(images: Float64, control: int) -> Float64:
+    """Return the one of both images that an iteration with this control has written."""
+    return images[int((control & PARITY) > 0)]
 
 
 _Started = tuple[ResidentIteration | None, _Problem, tuple]
