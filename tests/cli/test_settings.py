@@ -219,16 +219,21 @@ def test_every_file_can_be_made_again_from_itself(name, capfd):
         assert contents[0] == contents[1]
 
 
-def test_what_a_file_is_called_and_what_it_becomes_is_free():
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("x.bin", "webm"), ("z", "npz"), ("g.png", "gif"),
+        *(pytest.param(*each, marks=pytest.mark.full) for each in (
+            ("p.htm", "html"), ("m.m4v", "mp4"), ("t.tiff", "tiff"), ("f", "tiff-folder"))),
+    ],
+)  # fmt: skip
+def test_what_a_file_is_called_and_what_it_becomes_is_free(name, kind):
     """Files are known by what is in them, and the next one by its own ending."""
-    arguments = ["morph", "a.png", "b.png", "--frames", "3"]
-    for name, kind in (("p.htm", None), ("m.m4v", "mp4"), ("x.bin", "webm"), ("z", "npz"),
-                       ("t.tiff", None), ("f", "tiff-folder"), ("g.png", "gif")):  # fmt: skip
-        by_name = ["--format", kind] if kind else []
-        assert main([*arguments, "-o", name, *by_name]) == 0
-        assert main(["morph", "--config", name, "-o", f"{name}.webp"]) == 0
-        with Image.open(f"{name}.webp") as again:
-            assert again.n_frames == 3
+    few = ["--frames", "3", "--backend", "numpy"]
+    assert main(["morph", "a.png", "b.png", "-o", name, "--format", kind, *few]) == 0
+    assert main(["morph", "--config", name, "-o", f"{name}.webp", "--backend", "numpy"]) == 0
+    with Image.open(f"{name}.webp") as again:
+        assert again.n_frames == 3
 
 
 def test_everything_that_decides_is_recorded(capfd):

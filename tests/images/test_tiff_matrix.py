@@ -21,7 +21,7 @@ from clmorph.errors import FileError
 
 HEIGHT, WIDTH = 19, 24
 SAMPLES = ("u1", "u2", "u4", "f2", "f4", "f8")
-COLORS = {"minisblack": 1, "miniswhite": 1, "rgb": 3, "palette": 1, "separated": 4}
+COLORS = {"palette": 1, "minisblack": 1, "miniswhite": 1, "rgb": 3, "separated": 4}
 COMPRESSIONS = ("none", "lzw", "packbits", "zlib", "lzma", "zstd")
 ALPHAS = (None, "unassalpha", "assocalpha", "unspecified")
 
