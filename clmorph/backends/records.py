@@ -163,7 +163,7 @@ class ResidentIteration(Protocol):
     """Sinkhorn's iteration between two clouds, or over stored pairs, with vectors on the device.
 
     An iteration is a half-step of f and one of g, each with its shift, and an extrapolation of g:
-    the formulas of `clmorph.transport._solver.half_steps`. The host reads a few numbers and decides
+    the formulas of `clmorph.transport._solver.steps`. The host reads a few numbers and decides
     which potential is the next. In iterations of many problems, each number and truth value is an
     array with one for each problem.
     """

@@ -133,7 +133,7 @@ def test_extrapolation_solves_a_linear_problem_at_once(rng):
     offset = basis @ rng.normal(size=4)
     solution = np.linalg.solve(np.eye(30) - matrix, offset)
     memory, x = Anderson(), np.zeros(30)
-    memory._region.radius = 1e6
+    memory.ring.radius = 1e6
     for _ in range(9):
         image = matrix @ x + offset
         x, _ = memory.extrapolate(x, image, np.ones(30))
@@ -150,7 +150,7 @@ def test_an_extrapolation_keeps_its_length(rng):
     guess, found = memory.extrapolate(np.ones(3), 2 - 1e-9 * np.ones(3), np.ones(3))
     assert found
     assert np.linalg.norm(guess - 2) == pytest.approx(32 * 3**0.5, rel=1e-6)
-    memory.accepted()
+    memory.ring.accepted()
     longer, _ = memory.extrapolate(guess, guess + 1 - 2e-9, np.ones(3))
     assert np.linalg.norm(longer - guess) > 100
     memory.rejected()
@@ -169,9 +169,9 @@ def test_many_memories_are_those_of_each_problem(rng, sizes):
             many.rejected(numbers == 2)
             alone[2].rejected()
         elif step:
-            many.accepted(numbers != 2)
+            many.ring.accepted(numbers != 2)
             for number in numbers[:-1]:
-                alone[number].accepted()
+                alone[number].ring.accepted()
         if step == 20:
             kept, left = np.array([0, 2]), Segments(np.array([sizes[0], sizes[2]]))
             many.take(kept, Segments(np.array(sizes)).points_of(kept), left)

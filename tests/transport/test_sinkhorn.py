@@ -12,8 +12,8 @@ import clmorph
 from clmorph import ConvergenceWarning, InputError
 from clmorph.measures.measure import Measure
 from clmorph.transport._solver.coarse_grid import CorrectedProblem
-from clmorph.transport._solver.half_steps import column_step, row_step
 from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.steps import take_step
 
 
 def measure(points, weights):
@@ -173,17 +173,17 @@ def test_masses_after_half_steps_have_closed_forms(rng, rho, corrected):
         problem.correct(epsilon * rng.normal(size=20), epsilon * rng.normal(size=25), epsilon)
     g = 0.1 * rng.random(25)
     softmin = problem.softmin_rows(g, epsilon, True)
-    general, closed = (row_step(problem, g, softmin, epsilon, enough) for enough in (0.0, 1e-6))
+    general, closed = (take_step(problem, 0, g, softmin, epsilon, enough) for enough in (0.0, 1e-6))
     assert closed.mass == pytest.approx(general.mass, rel=1e-12)
     assert closed.dual == pytest.approx(general.dual, abs=1e-11 * epsilon * general.mass)
     assert np.array_equal(closed.f, general.f)
     softmin = problem.softmin_columns(closed.f, epsilon, True)
     general, closed = (
-        column_step(problem, before, softmin, epsilon, enough)
+        take_step(problem, 1, before.f, softmin, epsilon, enough, before.log_mass)
         for before, enough in ((general, 0.0), (closed, 1e-6))
     )
-    assert closed.dual == pytest.approx(general.dual, abs=1e-11 * epsilon * general.mass.sum())
-    assert np.allclose(closed.image, general.image, rtol=0, atol=1e-13)
+    assert closed.dual == pytest.approx(general.dual, abs=1e-11 * epsilon * general.marginal.sum())
+    assert np.allclose(closed.g, general.g, rtol=0, atol=1e-13)
     assert np.allclose(closed.f, general.f, rtol=0, atol=1e-13)
 
 
@@ -192,7 +192,7 @@ def test_a_closed_form_with_too_few_digits_is_not_used(rng):
     epsilon, rho = 0.05, 1e9
     problem = Problem.between(clmorph.get_backend("numpy"), source, target, (rho, rho))
     g = 0.1 * rng.random(25)
-    step = row_step(problem, g, problem.softmin_rows(g, epsilon, True), epsilon, 1e-7)
+    step = take_step(problem, 0, g, problem.softmin_rows(g, epsilon, True), epsilon, 1e-7)
     exact = problem.dual(step.f, step.g, step.mass, epsilon)
     assert step.dual == exact
     assert problem.dual(step.f, step.g, step.mass, epsilon, 1.0) != exact
@@ -206,11 +206,11 @@ def test_half_steps_are_finite_where_masses_underflow(rng):
     problem = Problem.between(clmorph.get_backend("numpy"), source, target, (rho, rho))
     g = np.zeros(25)
     for enough in (0.0, 1e-6):
-        rows = row_step(problem, g, problem.softmin_rows(g, epsilon, True), epsilon, enough)
+        rows = take_step(problem, 0, g, problem.softmin_rows(g, epsilon, True), epsilon, enough)
         softmin = problem.softmin_columns(rows.f, epsilon, True)
-        columns = column_step(problem, rows, softmin, epsilon, enough)
+        columns = take_step(problem, 1, rows.f, softmin, epsilon, enough, rows.log_mass)
         assert rows.mass == 0
-        for found in (rows.f, rows.g, columns.f, columns.image, rows.dual, columns.dual):
+        for found in (rows.f, rows.g, columns.f, columns.g, rows.dual, columns.dual):
             assert np.all(np.isfinite(found))
 
 

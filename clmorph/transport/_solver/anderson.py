@@ -20,38 +20,47 @@ TRUST_RADIUS, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25
 TINY = float(np.finfo(float).tiny)
 
 
-class TrustRegion:
-    """How far extrapolations may go: for each problem a radius in steps of the plain iteration."""
+class Ring:
+    """What each problem has stored of its iterates, and how far its extrapolations may go."""
 
     def __init__(self, of: Any) -> None:
         self._of: Any = of
+        #: Radius of the trust region, in steps of the plain iteration.
         self.radius: Any = of.filled(TRUST_RADIUS)
         #: Whether it limited the last extrapolation.
         self.was_cut: Any = of.filled(False)
+        #: Whether the last iterate is stored, and the differences stored since a problem began.
+        self.begun: Any = of.filled(False)
+        self.stored: Any = of.filled(0)
 
     def accepted(self, which: Any = True) -> None:
-        """Enlarge the region if it limited the last extrapolation, which was good."""
+        """Enlarge the trust region if it limited the last extrapolation, which was good."""
         grown = which & self.was_cut
         if self._of.any(grown):
             self.radius = self._of.choose(grown, GROWTH * self.radius, self.radius)
 
     def rejected(self, which: Any = True) -> None:
-        """Shrink the region after a bad extrapolation."""
-        shrunk = self._of.larger(1.0, SHRINKAGE * self.radius)
-        self.radius = self._of.choose(which, shrunk, self.radius)
+        """Shrink the trust region after a bad extrapolation, and forget all iterates."""
+        of = self._of
+        self.radius = of.choose(which, of.larger(1.0, SHRINKAGE * self.radius), self.radius)
+        self.begun, self.stored = of.without(self.begun, which), of.choose(which, 0, self.stored)
 
-    def take(self, problems: IntArray) -> None:
-        """Go on with some of the problems."""
-        self.radius, self.was_cut = self.radius[problems], self.was_cut[problems]
+    def add(self, which: Any) -> None:
+        """Store an iterate of some problems, and its difference from the one before, if any."""
+        self.stored = self.stored + (which & self.begun)
+        self.begun = self.begun | which
+
+    def take(self, problems: IntArray, of: Reductions) -> None:
+        """Go on with some of the problems, which have these reductions."""
+        self._of, self.radius, self.was_cut = of, self.radius[problems], self.was_cut[problems]
+        self.begun, self.stored = self.begun[problems], self.stored[problems]
 
 
 class Anderson:
     """Anderson acceleration, of one problem or of many, whose truth values are arrays, (B,)."""
 
     def __init__(self, of: Reductions = WHOLE) -> None:
-        self._of, self._region = of, TrustRegion(of)
-        #: Whether the last iterate is stored, and the differences stored since a problem began.
-        self._begun, self._next = np.zeros(of.shape, bool), np.zeros(of.shape, int)
+        self._of, self.ring = of, Ring(of)
         #: The last image and residual, and the weights of the inner product.
         self._last: tuple[Array, Array, Array] | None = None
         # Differences between successive iterates: those of the images plus the mixed share of the
@@ -60,22 +69,15 @@ class Anderson:
         self._ahead = self._residuals = np.zeros((MEMORY, 0))
         self._products = np.zeros((*of.shape, MEMORY, MEMORY))
 
-    def accepted(self, which: Any = True) -> None:
-        """Enlarge the trust region if it limited the last extrapolation, which was good."""
-        self._region.accepted(which)
-
     def rejected(self, which: Any = True) -> None:
-        """Shrink the trust region after a bad extrapolation, and forget all iterates."""
-        self._region.rejected(which)
-        self._begun = self._begun & np.logical_not(which)
-        self._next = np.where(which, 0, self._next)
+        """Forget all iterates after a bad extrapolation."""
+        self.ring.rejected(which)
         self._products = np.where(np.asarray(which)[..., None, None], 0.0, self._products)
 
     def take(self, problems: IntArray, points: Any, of: Reductions) -> None:
         """Go on with some of the problems, which have these points and reductions."""
         self._of = of
-        self._region.take(problems)
-        self._begun, self._next = self._begun[problems], self._next[problems]
+        self.ring.take(problems, of)
         self._products = self._products[problems]
         if self._last is not None:
             image, residual, weights = self._last
@@ -94,13 +96,14 @@ class Anderson:
         The weights of a problem's first iterate define its inner product. Problems that `which`
         leaves out begin anew with their next iterate.
         """
-        of, residual = self._of, image - x
-        begun, which = self._begun, np.broadcast_to(which, of.shape)
-        self._begun = which
+        of, ring, residual = self._of, self.ring, image - x
+        begun, place = ring.begun, np.asarray(ring.stored % MEMORY)
+        ring.add(which)
         if self._last is not None and np.any(begun):
             last_image, last_residual, first = self._last
             weights = first if np.all(begun) else np.where(of.spread(begun), first, weights)
-            self._remember(image - last_image, residual - last_residual, weights, begun & which)
+            changes = image - last_image, residual - last_residual
+            self._remember(*changes, weights, place, np.broadcast_to(begun & which, of.shape))
         self._last = image, residual, weights
         coefficients, found = self._coefficients(residual, weights)
         found = found & which
@@ -109,8 +112,8 @@ class Anderson:
         correction = of.combined(coefficients, self._ahead[: coefficients.shape[-1]])
         step = (MIXING - 1) * residual - correction
         plain, length = (np.sqrt(of.inner(x * weights, x)) for x in (residual, step))
-        longest = self._region.radius * plain
-        self._region.was_cut = found & (length > longest)
+        longest = ring.radius * plain
+        ring.was_cut = found & (length > longest)
         factor = np.minimum(1.0, longest / np.maximum(length, TINY))
         return image + of.scaled(found * factor, step), found
 
@@ -132,32 +135,26 @@ class Anderson:
         right = stored * right / scale
         return (np.linalg.solve(normal, right[..., None])[..., 0] / scale)[..., :count], found
 
-    def _remember(self, of_image: Array, of_residual: Array, weights: Array, new: Any) -> None:
-        of, place = self._of, self._next % MEMORY
-        self._next = self._next + new
+    def _remember(
+        self, of_image: Array, of_residual: Array, weights: Array, place: Any, new: Any
+    ) -> None:
+        of = self._of
         if not self._ahead.size:
             self._ahead, self._residuals = (np.zeros((MEMORY, len(of_image))) for _ in range(2))
-        at: Any = int(place) if not of.shape else self._places(place, new)
+        points = np.flatnonzero(of.spread(new))
+        at: Any = (of.spread(place)[points], points) if of.shape else int(place)
         for kept, each in (
             (self._ahead, of_image + (MIXING - 1) * of_residual), (self._residuals, of_residual),
         ):  # fmt: skip
-            kept[at] = each[at[1]] if of.shape else each
+            kept[at] = each[points] if of.shape else each
         count, stored = self._stored()
         row = np.zeros(stored.shape)
         row[..., :count] = of.inner_each(self._residuals[:count], of_residual * weights)
-        row, here = (
-            row * stored,
-            (np.arange(MEMORY) == place[..., None]) & np.asarray(new)[..., None],
-        )
+        row, here = row * stored, (np.arange(MEMORY) == place[..., None]) & new[..., None]
         self._products = np.where(here[..., None], row[..., None, :], self._products)
         self._products = np.where(here[..., None, :], row[..., None], self._products)
 
-    def _places(self, place: Any, new: Any) -> tuple[IntArray, IntArray]:
-        """Return where many problems store a vector: rows, and the points of those that do."""
-        points = np.flatnonzero(self._of.spread(new))
-        return self._of.spread(place)[points], points
-
     def _stored(self) -> tuple[int, Any]:
         """Return the largest number of differences of a problem, and which ones each has."""
-        count = np.minimum(self._next, MEMORY)
+        count = np.minimum(self.ring.stored, MEMORY)
         return int(count.max(initial=0)), np.arange(MEMORY) < count[..., None]

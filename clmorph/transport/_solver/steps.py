@@ -4,12 +4,12 @@ The device computes an iteration ahead of the host's decisions, so that both mee
 host then takes back an extrapolation, one softmin was in vain.
 """
 
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
-from clmorph.backends.interface import MEMORY
+from clmorph.backends.interface import MAX_EXPONENT, MEMORY
 from clmorph.backends.records import (
     IMAGE,
     PARITY,
@@ -18,15 +18,8 @@ from clmorph.backends.records import (
     control_of,
     next_source,
 )
-from clmorph.transport._solver.anderson import GROWTH, Anderson, TrustRegion
+from clmorph.transport._solver.anderson import GROWTH, Anderson, Ring
 from clmorph.transport._solver.batch import not_finite, some
-from clmorph.transport._solver.half_steps import (
-    ColumnStep,
-    RowStep,
-    column_step,
-    row_step,
-    without_drift,
-)
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.state import dual_rounding
 
@@ -75,13 +68,47 @@ class Steps(Protocol):
         """Go on with some of many problems, and return them."""
 
 
+class Step(NamedTuple):
+    """Potentials after a half-step, with the softmin of the old one, at its shift."""
+
+    f: Array
+    g: Array
+    softmin: Array
+    marginal: Any  #: of their plan; None where f is new and no sum needs it
+    mass: Any  #: of their plan
+    dual: Any
+    log_mass: Any
+
+
+def take_step(
+    problem: Problem, side: int, old: Array, softmin: Array, epsilon: float, enough: Any = 0.0,
+    before: Any = None,
+) -> Step:  # fmt: skip
+    """Maximize the dual over f (side 0), or g (1), and a shift of the old potential; its T given.
+
+    See `Problem.half_step` for `before`, and `Problem.dual` for `enough`.
+    """
+    new, old, softmin, log_mass = problem.half_step(side, old, softmin, epsilon, before)
+    f, g = (new, old) if side == 0 else (old, new)
+    marginal_of, closed = (problem.row_mass, problem.column_mass)[side], np.any(enough)
+    marginal: Any = None if closed and side == 0 else marginal_of(new, softmin, epsilon)
+    mass: Any = np.exp(np.minimum(log_mass, MAX_EXPONENT))
+    if not closed:
+        mass = problem.reductions[side].sum(marginal)
+    return Step(f, g, softmin, marginal, mass, problem.dual(f, g, mass, epsilon, enough), log_mass)
+
+
 class HostSteps:
-    """Steps whose arithmetic NumPy does; see `Steps`."""
+    """Steps whose arithmetic NumPy does; see `Steps`.
+
+    ``cl_kernels/half_steps.cl`` and ``sparse_half_steps.cl`` do the same on a device.
+    """
 
     ahead = 0
 
     def __init__(self, problem: Problem) -> None:
         self._problem, self._memory = problem, Anderson(problem.of_columns)
+        self.accept = self._memory.ring.accepted
 
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
         self._g, self._epsilon, self._precise = g, epsilon, precise
@@ -89,9 +116,9 @@ class HostSteps:
         self._enough = dual_rounding(self._problem, epsilon, precise)
 
     def update_rows(self) -> None:
-        problem, self._back = self._problem, np.False_
-        softmin = problem.softmin_rows(self._g, self._epsilon, self._precise)
-        self._rows: RowStep = row_step(problem, self._g, softmin, self._epsilon, self._enough)
+        problem, epsilon, self._back = self._problem, self._epsilon, np.False_
+        softmin = problem.softmin_rows(self._g, epsilon, self._precise)
+        self._rows = take_step(problem, 0, self._g, softmin, epsilon, self._enough)
 
     @property
     def row_dual(self) -> tuple[Any, Any]:
@@ -101,16 +128,11 @@ class HostSteps:
         self._g, self._back = self._chosen(which, self._fallback, self._g), which
         self._memory.rejected(which)
 
-    def accept(self, which: Any = np.True_) -> None:
-        self._memory.accepted(which)
-
     def update_columns(self) -> Any:
-        problem = self._problem
-        softmin = problem.softmin_columns(self._rows.f, self._epsilon, self._precise)
-        self._columns: ColumnStep = column_step(
-            problem, self._rows, softmin, self._epsilon, self._enough
-        )
-        return self._columns.residual
+        problem, rows, epsilon = self._problem, self._rows, self._epsilon
+        softmin = problem.softmin_columns(rows.f, epsilon, self._precise)
+        self._columns = take_step(problem, 1, rows.f, softmin, epsilon, self._enough, rows.log_mass)
+        return problem.residual(rows.f, rows.g, rows.softmin, softmin, epsilon)
 
     def outside_trust_region(self) -> Any:
         return self._problem.outside_trust_region(self._columns.f, self._epsilon)
@@ -120,10 +142,10 @@ class HostSteps:
         return self._columns.dual
 
     def go_on(self, extrapolate: Any) -> Any:
-        image, extrapolated = self._columns.image, np.logical_and(extrapolate, False)
+        image, extrapolated = self._columns.g, np.logical_and(extrapolate, False)
         following = image
         if np.any(extrapolate):
-            mass = self._columns.mass
+            mass = self._columns.marginal
             following, extrapolated = self._memory.extrapolate(self._g, image, mass, extrapolate)
             if extrapolated.any():
                 following = without_drift(self._problem, following, image, mass)
@@ -131,7 +153,7 @@ class HostSteps:
         return extrapolated if self._problem.of_rows.shape else bool(extrapolated)
 
     def potentials(self) -> tuple[Array, Array, Array]:
-        return self._columns.f, self._columns.image, self._columns.t_columns
+        return self._columns.f, self._columns.g, self._columns.softmin
 
     def keep(self, problems: IntArray) -> Problem:
         of, self._problem = self._problem.of_columns, some(self._problem, problems)
@@ -148,6 +170,18 @@ class HostSteps:
         )
 
 
+def without_drift(problem: Problem, guess: Any, image: Any, column_mass: Any) -> Any:
+    """Return extrapolated potentials, (M,), without the constant that they have added to the image.
+
+    Nothing bounds an extrapolation along a constant, of which balanced potentials are free, and
+    at a large one float64 loses the other digits.
+    """
+    if any(problem.inverse_rho):
+        return guess
+    of = problem.of_columns
+    return guess - of.spread(of.inner(column_mass, guess - image) / of.sum(column_mass))
+
+
 class DeviceSteps:
     """Steps whose arithmetic the device does; the host has the state of `Anderson`, see `Steps`."""
 
@@ -156,8 +190,8 @@ class DeviceSteps:
     def __init__(self, problem: Problem, iteration: ResidentIteration) -> None:
         self._problem, self._iteration, self._whole = problem, iteration, problem.reductions
         of: Any = problem.of_rows
-        self._region = TrustRegion(of)
-        self._begun, self._next, self._back = of.filled(False), of.filled(0), of.filled(False)
+        self._ring, self._back = Ring(of), of.filled(False)
+        self.accept = self._ring.accepted
         self._here = of.numbers(of.filled(True))
 
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
@@ -168,12 +202,12 @@ class DeviceSteps:
     def update_rows(self) -> None:
         """Run an iteration, as if its potential were good."""
         of: Any = self._problem.of_rows
-        region = self._region
+        ring, begun = self._ring, self._ring.begun
         self._back = of.filled(False)
-        radius = of.choose(self._guessed & region.was_cut, GROWTH * region.radius, region.radius)
-        place = of.choose(self._begun, self._next % MEMORY, 0)
-        count = of.choose(self._begun, of.smaller(self._next + 1, MEMORY), 0)
-        control = control_of(self._source, self._begun, place, count)
+        radius = of.choose(self._guessed & ring.was_cut, GROWTH * ring.radius, ring.radius)
+        place = of.choose(begun, ring.stored % MEMORY, 0)
+        count = of.choose(begun, of.smaller(ring.stored + 1, MEMORY), 0)
+        control = control_of(self._source, begun, place, count)
         self._numbers = self._iteration.iterate(control, radius)
         if of.any(of.without(of.filled(True), self._numbers.finite)):
             raise not_finite(self._problem, int(np.argmin(self._numbers.finite)))
@@ -186,12 +220,8 @@ class DeviceSteps:
         of: Any = self._problem.of_rows
         self._back = which
         self._source = of.choose(which, IMAGE | self._source & PARITY, self._source)
-        self._region.rejected(which)
-        self._begun, self._next = of.without(self._begun, which), of.choose(which, 0, self._next)
+        self._ring.rejected(which)
         self._guessed = of.without(self._guessed, which)
-
-    def accept(self, which: Any = np.True_) -> None:
-        self._region.accepted(which)
 
     def update_columns(self) -> Any:
         """Return the residual before g was updated, which `update_rows` has computed."""
@@ -211,9 +241,8 @@ class DeviceSteps:
         self._guessed = extrapolate & numbers.extrapolated
         following = next_source(self._source, self._guessed)
         self._source = of.choose(self._back, self._source, following)
-        self._next = self._next + (extrapolate & self._begun)
-        self._begun = self._begun | extrapolate
-        self._region.was_cut = of.choose(extrapolate, numbers.cut, self._region.was_cut)
+        self._ring.add(extrapolate)
+        self._ring.was_cut = of.choose(extrapolate, numbers.cut, self._ring.was_cut)
         return self._guessed
 
     def potentials(self) -> tuple[Array, Array, Array]:
@@ -225,13 +254,10 @@ class DeviceSteps:
 
     def keep(self, problems: IntArray) -> Problem:
         self._problem = some(self._problem, problems, uploaded=False)
-        self._region.take(problems)
-        self._here, self._begun, self._next, self._guessed, self._back, self._source = (
-            values[problems]
-            for values in (
-                self._here, self._begun, self._next, self._guessed, self._back, self._source
-            )
-        )  # fmt: skip
+        self._ring.take(problems, self._problem.of_rows)
+        self._here, self._guessed, self._back, self._source = (
+            values[problems] for values in (self._here, self._guessed, self._back, self._source)
+        )
         self._iteration.keep(self._here)
         return self._problem
 
