@@ -33,8 +33,9 @@ SOFT = 1 / 144
 #: Weight of a cell whose mass has no partner; and the share of such mass that takes the color that
 #: the other picture has at its place.
 LONELY, RECOLORED = 1e-3, 0.7
-#: Width, as a share of the longer side, within which displacements off a border fall to none.
-NEAR_BORDER = 0.1
+#: Least width, as a share of the longer side, of the margin in which a border takes others along;
+#: and that width in units of how far the border goes out, if it can be had.
+NEAR_BORDER, STRETCHED = 0.1, 2.0
 #: Distance of labels in a guide: no mean crosses their borders.
 LABEL_STEP = 3.0
 
@@ -168,16 +169,17 @@ def field_of(
 
 
 def _kept_at_border(move: Array, points: Canvas, other: Canvas) -> Array:
-    """Return displacements, (h, w, 2), by which a border goes inwards to the other's at most.
+    """Return displacements, (h, w, 2), by which each border goes at least as far out as the other's.
 
-    Where it went farther, nothing would be there to be shown.
+    A border that fell behind would leave places of the frame at which nothing is to be shown.
     """
     kept = move.copy()
     for axis in (0, 1):
         side, scale = points.shape[1 - axis], max(points.scale[axis], 1e-9)
         extents = side / scale, other.shape[1 - axis] / max(other.scale[axis], 1e-9)
-        allowed = max(0.0, 0.5 * (extents[0] - extents[1]))
-        near = np.arange(side) / max(NEAR_BORDER * max(points.shape), 1.0)
+        allowed = 0.5 * (extents[0] - extents[1])
+        reach = min(max(NEAR_BORDER * max(points.shape), -STRETCHED * allowed * scale), 0.5 * side)
+        near = np.arange(side) / max(reach, 1.0)
         for sign, distance in ((1.0, near), (-1.0, near[::-1])):
             shape = (1, side) if axis == 0 else (side, 1)
             rest = np.clip(1.0 - distance, 0.0, 1.0).reshape(shape)
