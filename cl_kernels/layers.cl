@@ -2,7 +2,7 @@
 // moves and changes its colors. The formulas stand in clmorph/backends/interface.py, Operations.
 //
 // A picture is the cubic spline through its pixels, whose coefficients come from the host (Unser
-// 1999). Beyond its border it is mirrored about the centers of its outermost pixels.
+// 1999). Beyond the centers of its outermost pixels it is constant.
 //
 // Places come from the host, in float64, for each row and each column of a grid, as two numbers: a
 // whole one, and the part to be added to it, so that float32 is as exact at pixel 4000 as at pixel 0.
@@ -262,12 +262,11 @@ INLINE float share_at(const Layer layer, const int row, const int column)
         mix(above[0], above[right], part.y), mix(below[0], below[right], part.y), part.x);
 }
 
-// The index inside 0 <= i < n that a place mirrors, which may be far outside.
+// The index inside 0 <= i < n that -1, n or n + 1 mirrors.
 INLINE int mirrored(const int i, const int n)
 {
-    const int period = max(2 * n - 2, 1);
-    const int once = (int)((uint)abs(i) % (uint)period);
-    return min(once, period - once);
+    const int once = abs(i);
+    return max(0, min(once, 2 * n - 2 - once));
 }
 
 // Weights of the four coefficients around a place, f pixels after the second one.
@@ -284,7 +283,8 @@ INLINE float4 cubic_weights(const float f)
 INLINE float4 of_picture(
     const __global float4* coefficients, const int2 shape, const float2 whole, const float2 part)
 {
-    const float2 near = clamp(part, -FARTHEST, FARTHEST);
+    const float2 last = (float2)(shape.x - 1, shape.y - 1);
+    const float2 near = clamp(part, -whole, last - whole);
     const float2 lower = floor(near);
     const float4 along_rows = cubic_weights(near.x - lower.x);
     const float4 along_columns = cubic_weights(near.y - lower.y);

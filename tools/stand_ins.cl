@@ -51,9 +51,9 @@ ORDERED(uint)
     STAND_IN type clamp(type x, type low, type high) { return min(max(x, low), high); }
 ORDERED_REAL(float, f)
 ORDERED_REAL(double, )
-STAND_IN float2 clamp(float2 x, float low, float high)
+STAND_IN float2 clamp(float2 x, float2 low, float2 high)
 {
-    return (float2)(clamp(x.x, low, high), clamp(x.y, low, high));
+    return (float2)(clamp(x.x, low.x, high.x), clamp(x.y, low.y, high.y));
 }
 STAND_IN uint abs(int x) { return x < 0 ? -x : x; }
 STAND_IN ulong clz(ulong x) { return __builtin_clzl(x); }

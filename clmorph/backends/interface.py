@@ -393,8 +393,8 @@ class Operations(Protocol):
     def upload_spline(self, coefficients: NDArray[np.float32]) -> Any:
         """Upload a picture, as the coefficients of a cubic spline: (H, W, 4) array.
 
-        They are those of `scipy.ndimage.spline_filter` with the mode "mirror". Beyond its border
-        the picture is mirrored about the centers of its outermost pixels.
+        They are those of `scipy.ndimage.spline_filter` with the mode "mirror". Beyond the
+        centers of its outermost pixels the picture is constant.
         """
 
     def upload_layer(self, paths: Float32, change: Float32) -> Any:

@@ -21,6 +21,8 @@ FLAT_SHARE = 0.75
 #: Distance from the outline in pixels up to which they may mix figure and ground; the share of the
 #: figure from which they do not count as mixtures.
 EDGE, PURE = 2, 0.95
+#: Share of a side within which two figures reach the same place of a border.
+SAME_PLACE = 0.05
 #: Opacity, beside the largest one near, from which a figure is whole; bounds of that of an edge.
 OPAQUE, CLEAR, SOLID = 0.999, 0.05, 0.95
 
@@ -57,10 +59,34 @@ def figures_of(measures: Sequence[Measure], ends: Sequence[End]) -> list[Figure]
     masks = [_inside(measure, end) for measure, end in zip(measures, ends, strict=True)]
     if all(mask is None or mask.all() for mask in masks) and all(e.alpha is None for e in ends):
         return None
-    return [
-        _figure(np.ones(end.shape, dtype=bool) if mask is None else mask, end)
+    whole = [
+        np.ones(end.shape, bool) if mask is None else mask
         for mask, end in zip(masks, ends, strict=True)
     ]
+    return [
+        _figure(_within_border(mask, whole[:number] + whole[number + 1 :]), end)
+        for number, (mask, end) in enumerate(zip(whole, ends, strict=True))
+    ]
+
+
+def _within_border(mask: _Bool, others: Sequence[_Bool]) -> _Bool:
+    """Return a mask with one more pixel on each side: whether the figure goes on beyond the border.
+
+    It ends there, as in a picture that is cut to its figure, unless all others reach the same place.
+    """
+    from scipy.ndimage import maximum_filter1d
+
+    around = np.pad(mask, 1)
+    for turned in (lambda m: m, np.flipud, np.transpose, np.rot90):
+        line = turned(mask)[0].copy()
+        for other in others:
+            reached = turned(other)[0].astype(np.uint8)
+            reached = maximum_filter1d(reached, 2 * round(SAME_PLACE * reached.size) + 1)
+            line &= (
+                reached[((np.arange(line.size) + 0.5) * reached.size / line.size).astype(int)] > 0
+            )
+        turned(around)[0, 1:-1] = line
+    return around
 
 
 def _inside(measure: Measure, end: End) -> _Bool | None:
@@ -79,15 +105,17 @@ def _inside(measure: Measure, end: End) -> _Bool | None:
     return massive if flat.mean() >= FLAT_SHARE else None
 
 
-def _figure(inside: _Bool, end: End) -> Figure:
+def _figure(around: _Bool, end: End) -> Figure:
+    """Return a figure from a mask with one more pixel on each side."""
     from scipy.ndimage import distance_transform_edt, maximum_filter
 
+    inside = around[1:-1, 1:-1]
     if inside.all():
         far = float(max(inside.shape))
         alpha = _all(1.0, end) if end.alpha is None else end.alpha.astype(np.float32)
         return Figure(inside, _all(far, end), alpha, 1.0, np.zeros(3), 0.0)
-    distance: Float32 = distance_transform_edt(inside).astype(np.float32)
-    distance -= distance_transform_edt(~inside).astype(np.float32)
+    distance: Float32 = distance_transform_edt(around)[1:-1, 1:-1].astype(np.float32)
+    distance -= distance_transform_edt(~around)[1:-1, 1:-1].astype(np.float32)
     distance += np.where(inside, np.float32(-0.5), np.float32(0.5))
     pure = inside.copy()
     rim = inside & (distance < EDGE)

@@ -43,7 +43,7 @@ MET = 1.0
 #: Points of the stage by which outlines may differ where pictures agree at another time.
 NEAR = 2.0
 #: Width, as a share of the longer side, over which pictures with a ground are continued beyond
-#: their borders. Others are mirrored there.
+#: their borders, so that distances from outlines go on there.
 MARGIN = 1 / 8
 #: Points of the stage over which a layer stops being seen beyond its own figure.
 COVER = 2.0
@@ -65,15 +65,19 @@ class Channels:
         operations: Operations,
         *,
         beyond_border: bool,
+        signed: bool = False,
     ) -> None:
         self._images, self.canvas, self._operations = images, canvas, operations
-        self._margin = MARGIN if beyond_border else 0.0
+        self._margin, self._signed = MARGIN if beyond_border else 0.0, signed
         self.level = lru_cache(maxsize=None)(self._level)
 
     def on(self, operations: Operations) -> Channels:
         """Return the same picture for another device."""
         beyond_border = self._margin > 0
-        return Channels(self._images, self.canvas, operations, beyond_border=beyond_border)
+        return Channels(
+            self._images, self.canvas, operations,
+            beyond_border=beyond_border, signed=self._signed,
+        )  # fmt: skip
 
     def _level(self, halvings: int) -> tuple[Any, Canvas]:
         """Return the picture with fewer pixels, and these."""
@@ -86,8 +90,13 @@ class Channels:
         spline = np.zeros((height, width, 4), np.float32)
         channels = (image[..., [c]] for image in self._images for c in range(image.shape[2]))
         for number, channel in enumerate(channels):
-            plane = np.pad(reduced(channel, small.shape)[..., 0], margin, mode="edge")
-            spline[..., number] = spline_filter(plane, order=3, mode="mirror", output=np.float32)
+            plane = reduced(channel, small.shape)[..., 0]
+            wider = np.pad(plane, margin, mode="edge")
+            if number == 3 and self._signed:
+                # A figure goes on at most as it does at the border.
+                falling = np.pad(plane, margin, mode="reflect", reflect_type="odd")
+                wider = np.minimum(wider, falling)
+            spline[..., number] = spline_filter(wider, order=3, mode="mirror", output=np.float32)
         return self._operations.upload_spline(spline), Canvas((height, width), small.scale)
 
 
@@ -191,7 +200,13 @@ class Pictures:
                 ]
         self._channels = {
             name: [
-                Channels(channels, canvas, operations, beyond_border=figures is not None)
+                Channels(
+                    channels,
+                    canvas,
+                    operations,
+                    beyond_border=figures is not None,
+                    signed=name == "figure",
+                )  # fmt: skip
                 for channels, canvas in zip(same, canvases, strict=True)
             ]
             for name, same in images.items()

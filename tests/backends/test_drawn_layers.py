@@ -305,6 +305,15 @@ def test_tears_around_a_point_of_the_paths(each_device, rng, canvas, moved):
     assert largest(got - want) <= scene.rounding()
 
 
+def test_pictures_are_constant_beyond_their_borders(any_backend_operations, rng):
+    picture = rng.random((12, 30, 4))
+    layer = still(picture, way=1.0)
+    layer.paths[1:, ..., 0], layer.paths[1:, ..., 1] = -500.0, 7.0
+    found = drawn(any_backend_operations, layer)
+    columns = np.minimum(np.arange(30) + 7, 29)
+    assert np.abs(found - picture[0, columns]).max() < 1e-5
+
+
 @pytest.mark.parametrize("size", [1e3, 1e30])
 def test_places_far_outside_are_finite(each_device, rng, size):
     layer = still(rng.random((10, 70, 4)), way=0.7)

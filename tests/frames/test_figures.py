@@ -191,6 +191,23 @@ class TestLogos:
         frame = clmorph.morph(first, last, backend=device, preset="logo", **SMALL).frame(0.5)
         assert label(frame[..., 0] < 0.5)[1] == 1
 
+    def test_a_figure_that_reaches_a_border_ends_there(self, device):
+        """Of a picture that is cut to its figure nothing goes on beyond the border."""
+        first, last = np.ones((48, 48, 3)), np.ones((48, 48, 3))
+        first[:20, 14:34] = last[24:40, 14:34] = 0.0
+        morph = clmorph.morph(first, last, backend=device, preset="logo", **SMALL)
+        for t in (0.25, 0.5, 0.75):
+            dark = morph.frame(t)[:, 24, 0] < 0.5
+            assert abs(dark.argmax() - 24 * t) < 3
+
+    def test_figures_that_reach_the_same_border_stay_there(self, device):
+        """Two figures that their pictures cut, as portraits: no gap opens below them."""
+        first, last = np.ones((48, 48, 3)), np.ones((48, 48, 3))
+        first[20:, 10:38] = last[30:, 12:36] = 0.0
+        morph = clmorph.morph(first, last, backend=device, preset="logo", **SMALL)
+        for t in (0.25, 0.5, 0.75):
+            assert morph.frame(t)[-1, 15:33].max() < 0.1
+
     @pytest.mark.full
     def test_compressed_logos(self, device):
         pair = [compressed(logo(name, 200), 75) for name in ("star", "disc")]

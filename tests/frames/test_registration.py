@@ -191,3 +191,16 @@ def test_borders_do_not_leave_the_picture(device):
         assert field.move[:, 0, 0].max() < 0.01
         assert field.move[:, -1, 0].min() > -0.01
     assert np.abs(morph.layers.fields[0].move[..., 0]).max() > 0.1  # the rest does move
+
+
+def test_borders_go_out_with_those_of_the_frame(device):
+    """A flat picture becomes a tall one: it fills the frame, and mirrors nothing beyond itself."""
+    first, last = photo("cat", 64), photo("portrait", 64)
+    first = first[10:34]
+    morph = clmorph.morph(first, last, backend=device, preset="photo", **SMALL)
+    flat, tall = (field.move[..., 1] for field in morph.layers.fields)
+    gap = 0.5 * (last.shape[0] - first.shape[0]) / 64
+    assert flat[0].max() < -gap + 0.01
+    assert flat[-1].min() > gap - 0.01
+    assert tall[0].max() < gap + 0.01
+    assert tall[-1].min() > -gap - 0.01

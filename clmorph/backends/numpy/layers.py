@@ -109,11 +109,11 @@ def _drawn(view: LayerView, shape: tuple[int, int]) -> Float64:
     place = view.to_field.places(shape) + linear(moved, view.to_paths.places(shape))
     at = np.asarray(view.to_picture.origin) + np.asarray(view.to_picture.step) * place
     picture = view.picture
+    within = np.moveaxis(np.clip(at, 0, np.array(picture.shape[:2]) - 1), -1, 0)
     colors = np.stack(
         [
             map_coordinates(
-                picture[..., channel], np.moveaxis(at, -1, 0), order=3, mode="mirror",
-                prefilter=False, output=float,
+                picture[..., channel], within, order=3, mode="mirror", prefilter=False, output=float
             )
             for channel in range(4)
         ],
