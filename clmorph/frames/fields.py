@@ -169,9 +169,9 @@ def field_of(
 
 
 def _kept_at_border(move: Array, points: Canvas, other: Canvas) -> Array:
-    """Return displacements, (h, w, 2), by which each border goes at least as far out as the other's.
+    """Return displacements, (h, w, 2), by which borders go out at least as far as the other's.
 
-    A border that fell behind would leave places of the frame at which nothing is to be shown.
+    One that fell behind would leave places of the frame at which nothing is to be shown.
     """
     kept = move.copy()
     for axis in (0, 1):

@@ -72,7 +72,7 @@ def figures_of(measures: Sequence[Measure], ends: Sequence[End]) -> list[Figure]
 def _within_border(mask: _Bool, others: Sequence[_Bool]) -> _Bool:
     """Return a mask with one more pixel on each side: whether the figure goes on beyond the border.
 
-    It ends there, as in a picture that is cut to its figure, unless all others reach the same place.
+    In a picture that is cut to its figure it ends there; not if all others reach the same place.
     """
     from scipy.ndimage import maximum_filter1d
 

@@ -54,8 +54,8 @@ FAINT = 0.01
 class Channels:
     """A picture of three or four channels, ready to be sampled at any scale.
 
-    `images`, (H, W, C) each, have its channels. With `beyond_border` it is continued by a margin,
-    as its border is.
+    `images`, (H, W, C) each, have its channels. It is continued as its border is, by a `margin`, a
+    share of its longer side; a fourth channel that is `signed` is a distance from an outline.
     """
 
     def __init__(
@@ -63,21 +63,19 @@ class Channels:
         images: Sequence[Float32],
         canvas: Canvas,
         operations: Operations,
+        margin: float,
         *,
-        beyond_border: bool,
-        signed: bool = False,
+        signed: bool,
     ) -> None:
         self._images, self.canvas, self._operations = images, canvas, operations
-        self._margin, self._signed = MARGIN if beyond_border else 0.0, signed
+        self._margin, self._signed = margin, signed
         self.level = lru_cache(maxsize=None)(self._level)
 
     def on(self, operations: Operations) -> Channels:
         """Return the same picture for another device."""
-        beyond_border = self._margin > 0
-        return Channels(
-            self._images, self.canvas, operations,
-            beyond_border=beyond_border, signed=self._signed,
-        )  # fmt: skip
+        other = copy(self)
+        other._operations, other.level = operations, lru_cache(maxsize=None)(other._level)
+        return other
 
     def _level(self, halvings: int) -> tuple[Any, Canvas]:
         """Return the picture with fewer pixels, and these."""
@@ -198,15 +196,10 @@ class Pictures:
                     ]
                     for figure in figures
                 ]
+        margin = 0.0 if figures is None else MARGIN
         self._channels = {
             name: [
-                Channels(
-                    channels,
-                    canvas,
-                    operations,
-                    beyond_border=figures is not None,
-                    signed=name == "figure",
-                )  # fmt: skip
+                Channels(channels, canvas, operations, margin, signed=name == "figure")
                 for channels, canvas in zip(same, canvases, strict=True)
             ]
             for name, same in images.items()
