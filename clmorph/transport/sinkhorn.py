@@ -213,13 +213,12 @@ def solve(
     limit = choose_truncation(truncation, tol, is_large(pair, operations))
     problem = Problem.between(operations, *pair, given.rho, limit, clouds)
     options = given.blur, tol, max_iter, precision, report
-    ended: Outcome | Multiscale
+    ended: Outcome
     many = is_large(pair, operations) and max_iter >= SHORT
     if g is None and multiscale is not True and is_symmetric(pair, given.rho):
         ended = solve_symmetric(problem, *options).alone()
     elif many if multiscale == "auto" else multiscale:
-        ended = Multiscale(problem, pair, *options)
-        ended.run(g)
+        ended = Multiscale(problem, pair, *options).run(g)
     else:
         iteration = Iteration(problem, *options, exact=exact)
         iteration.run(g)
@@ -230,7 +229,7 @@ def solve(
     return replace(found, passes=_passes(ended)) if keep else found
 
 
-def _passes(ended: Outcome | Multiscale) -> LastPasses | None:
+def _passes(ended: Outcome) -> LastPasses | None:
     """Return what the last softmins have found out; None if they have summed all pairs."""
     problem, state = ended.problem, ended.state
     near = problem.to_rows.near, problem.to_columns.near
@@ -242,7 +241,7 @@ def _passes(ended: Outcome | Multiscale) -> LastPasses | None:
     )  # fmt: skip
 
 
-def _take_all_pairs(ended: Outcome | Multiscale, epsilon: float) -> None:
+def _take_all_pairs(ended: Outcome, epsilon: float) -> None:
     """Compute the last softmins once more, over all pairs."""
     problem, state = ended.problem, ended.state
     for softmin in (problem.to_rows, problem.to_columns):
@@ -277,9 +276,7 @@ def _geomloss(
     )  # fmt: skip
 
 
-def _finish(
-    ended: Outcome | Multiscale, given: Regularization, truncation: float | None
-) -> Potentials:
+def _finish(ended: Outcome, given: Regularization, truncation: float | None) -> Potentials:
     """Return the potentials that the iteration has reached."""
     problem, state = ended.problem, ended.state
     message = outcome(

@@ -7,16 +7,14 @@ Numbers of one problem are arrays of many (`_solver.reductions`), which step tog
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from clmorph._shared.progress import Share
-from clmorph._shared.typing import Array, BoolArray, IntArray
+from clmorph._shared.typing import Array, IntArray
 from clmorph.transport._solver.batch import some
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.reductions import Reductions
 from clmorph.transport._solver.state import (
     ROUNDING_MARGIN,
     Outcome,
@@ -56,31 +54,6 @@ STOPPED = 1 / 16
 #: The iteration changes from float32 to better exponents at this many times the measured rounding
 #: of float32.
 LEAVING_MARGIN = 4.0
-
-
-@dataclass
-class Reached:
-    """Potentials of some problems after the last half-step of a level."""
-
-    of: tuple[Reductions, Reductions]  #: over their rows and over their columns
-    numbers: IntArray  #: (k,) their numbers
-    f: Array
-    g: Array
-    t_columns: Array
-    residual: Array  #: (k,) before that half-step
-    precise: bool
-
-    def some(self, which: BoolArray) -> "Reached":
-        """Return this for some of the problems."""
-        if which.all():
-            return self
-        places = np.flatnonzero(which)
-        rows, columns = (of.points_of(places) for of in self.of)
-        return Reached(
-            (self.of[0].some(places), self.of[1].some(places)), self.numbers[places],
-            self.f[rows], self.g[columns], self.t_columns[columns],
-            self.residual[places], self.precise,
-        )  # fmt: skip
 
 
 class Iteration:
@@ -146,21 +119,21 @@ class Iteration:
     def alone(self) -> Outcome:
         """Return the result of one problem."""
         return Outcome(
-            self.problem,
+            self.problem, self.tol, self.precision,
             State(self.f, self.g, self.t_rows, self.t_columns, float(self.residual[0])),
             self.status[0], [float(residual) for *_, residual in self._records],
-            int(self.n_softmin[0]),
-            int(self.n_iter[0]), float(self.rounding[0]), self.tol, self.precision,
-            bool(self.precise[0]),
+            int(self.n_softmin[0]), self._softmins, float(self.rounding[0]), bool(self.precise[0]),
         )  # fmt: skip
 
     def run(self, start: Array | None = None) -> None:
         """Iterate from potentials g, or from the largest blur of each problem's annealing."""
         problem, columns = self.problem, self.problem.of_columns
-        g = np.zeros(len(problem.b)) if start is None else start
-        before, tops = np.zeros_like(g), np.atleast_1d(top_blur(problem.largest_cost))
+        tops = np.atleast_1d(top_blur(problem.largest_cost))
+        before = np.zeros_like(self.g)
         levels = []
-        if start is None:
+        if start is not None:
+            self.g[:] = start
+        else:
             levels = annealing(problem, self._blur, float(tops.max()), self._max_iter)
         self._level_share = 1.0 / (len(levels) + 3)
         limit = int(ANNEALING_SHARE * self._max_iter)
@@ -174,17 +147,16 @@ class Iteration:
                 numbers = np.flatnonzero((tops > level) & (more == precise))
                 if not len(numbers):
                     continue
+                self._iterate(numbers, epsilon, self._level_tol, limit, precise)
                 points = columns.points_of(numbers)
-                reached = self._iterate(
-                    numbers, g[points], epsilon, self._level_tol, limit, precise
-                )
-                step = (reached.g - before[points]) * (epsilon - following)
+                step = (self.g[points] - before[points]) * (epsilon - following)
                 step = step / ((level / ANNEALING) ** 2 - epsilon)
-                step = np.where(reached.of[1].spread(beyond[numbers]), step, 0.0)
-                g[points], before[points] = reached.g + step, reached.g
+                step = np.where(columns.some(numbers).spread(beyond[numbers]), step, 0.0)
+                before[points] = self.g[points]
+                self.g[points] += step
             self._done += self._level_share
         self._level_share = 1.0 - self._done
-        self._last_level(g)
+        self._last_level()
         self._report_share(1.0)
 
     def _report_share(self, share: float) -> None:
@@ -196,63 +168,58 @@ class Iteration:
             note = f"residual {self._records[-1][2]:.0e} of {self.tol:.0e}"
         self._report(Share(self._reported, note))
 
-    def _last_level(self, g: Array) -> None:
+    def _last_level(self) -> None:
         """Iterate in float32 as far as its rounding allows, then with better exponents."""
         problem, epsilon, limit = self.problem, self._blur**2, self._max_iter
         operations, exact = problem.operations, problem.exact_sums
         self.precise[:] = needs_more(problem, self.precision, epsilon, self.tol)
-        begun = Reached(
-            problem.reductions, self._everyone, self.f, g, self.t_columns, self.residual, False
-        )
-        left = [(precise, begun.some(self.precise == precise)) for precise in (False, True)]
+        left = [(which, np.flatnonzero(self.precise == which)) for which in (False, True)]
         if self.precision == "auto" and operations.exponent_roundoff > operations.precise_roundoff:
             tol = np.full(len(self._everyone), self.tol)
             if self.precise.any():
                 measured = LEAVING_MARGIN * self._measured_rounding(left[1][1], epsilon)
                 tol[self.precise] = np.maximum(self.tol, measured)
-            reached = self._iterate(self._everyone, g, epsilon, tol, limit, False, leave=True)
-            out = (self.status == "max_iter") & (reached.residual > tol)
+            residual = self._iterate(self._everyone, epsilon, tol, limit, False, leave=True)
+            out = (self.status == "max_iter") & (residual > tol)
             # Float32 was enough if precise softmins confirm the residual.
             checked = out | ~self.precise
-            self._measure(reached.some(checked), epsilon, precise=True)
-            left = [(True, reached.some(~(out | (checked & (self.status == "converged")))))]
-        for precise, rest in left:
+            self._measure(np.flatnonzero(checked), epsilon, precise=True, before=False)
+            left = [(True, np.flatnonzero(~(out | (checked & (self.status == "converged")))))]
+        for precise, numbers in left:
             problem.exact_sums = exact
             for share in (1.0, *REPEATED):
-                if not len(rest.numbers):
+                if not len(numbers):
                     break
-                reached = self._iterate(
-                    rest.numbers, rest.g, epsilon, share * self.tol, limit, precise
-                )
-                converged = self.status[rest.numbers] == "converged"
-                self._measure(reached, epsilon, precise)
-                status = self.status[rest.numbers]
+                self._iterate(numbers, epsilon, share * self.tol, limit, precise)
+                converged = self.status[numbers] == "converged"
+                self._measure(numbers, epsilon, precise, precise)
+                status = self.status[numbers]
                 # The bound of the rounding can have lifted a residual above the tolerance.
                 again = converged & (status != "converged")
                 if self._certify:
-                    bounds = self.roundoffs.max(axis=0)[rest.numbers]
+                    bounds = self.roundoffs.max(axis=0)[numbers]
                     further = may_sum_exactly(problem, status, self.precision, self.tol, bounds)
                     again |= further
                     problem.exact_sums |= bool(further.any())
-                rest = reached.some(again & (self.n_iter[rest.numbers] < limit))
+                numbers = numbers[again & (self.n_iter[numbers] < limit)]
 
-    def _measure(self, reached: Reached, epsilon: float, precise: bool) -> None:
-        """Compute the softmins of the potentials that are returned, and their residuals."""
-        numbers, f, g = reached.numbers, reached.f, reached.g
+    def _measure(self, numbers: IntArray, epsilon: float, precise: bool, before: bool) -> None:
+        """Compute last softmins, precise ones or not, and residuals; T(f) was so `before`."""
         if not len(numbers):
             return
         problem = some(self.problem, numbers)
+        rows, columns = (of.points_of(numbers) for of in self.problem.reductions)
+        # Softmins keep what they get, and these vectors change.
+        f, g, t_columns = np.array(self.f[rows]), np.array(self.g[columns]), self.t_columns[columns]
         if self._certify:
             t_rows, t_columns = problem.bounded_softmins(f, g, epsilon)
         else:
-            t_rows, t_columns = problem.softmin_rows(g, epsilon, precise), reached.t_columns
-            if precise != reached.precise:
+            t_rows = problem.softmin_rows(g, epsilon, precise)
+            if precise != before:
                 t_columns = problem.softmin_columns(f, epsilon, precise)
         residual = problem.residual(f, g, t_rows, t_columns, epsilon)
         self._records.append((numbers, np.ones(len(numbers), bool), residual))
-        rows, columns = (of.points_of(numbers) for of in self.problem.reductions)
-        self.f[rows], self.t_rows[rows] = f, t_rows
-        self.g[columns], self.t_columns[columns] = g, t_columns
+        self.t_rows[rows], self.t_columns[columns] = t_rows, t_columns
         self.residual[numbers] = residual
         self.roundoffs[0, numbers] = problem.to_rows.roundoff
         self.roundoffs[1, numbers] = problem.to_columns.roundoff
@@ -262,46 +229,39 @@ class Iteration:
         # In exact arithmetic the last half-step can only lower the residual.
         self.status[numbers[missed]] = "precision"
 
-    def _measured_rounding(self, begun: Reached, epsilon: float) -> Array:
+    def _measured_rounding(self, numbers: IntArray, epsilon: float) -> Array:
         """Return by how much T(g) changes with precise exponents, in units of epsilon."""
-        problem = some(self.problem, begun.numbers)
-        coarse, fine = (problem.softmin_rows(begun.g, epsilon, each) for each in (False, True))
+        problem = some(self.problem, numbers)
+        g = np.array(self.g[self.problem.of_columns.points_of(numbers)])
+        coarse, fine = (problem.softmin_rows(g, epsilon, each) for each in (False, True))
         change = np.where(problem.a > 0, np.abs(coarse - fine), 0.0)
         return np.atleast_1d(problem.of_rows.largest(change)) / epsilon
 
     def _iterate(
-        self,
-        numbers: IntArray,
-        g: Array,
-        epsilon: float,
-        tol: Any,
-        limit: int,
-        precise: bool,
+        self, numbers: IntArray, epsilon: float, tol: Any, limit: int, precise: bool,
         leave: bool = False,
-    ) -> Reached:
-        """Iterate at one epsilon until residuals are `tol` or `limit` iterations are over.
+    ) -> Array:  # fmt: skip
+        """Iterate from g at one epsilon until residuals are `tol` or `limit` iterations are over.
 
-        A problem also ends where its residual no longer falls because of rounding, or, with
-        `leave`, for any reason: a slow problem falls by less than float32 resolves.
+        f, g and T(f) are then those of the last iteration; the result is the residual before g was
+        updated. A problem also ends where its residual no longer falls because of rounding, or,
+        with `leave`, for any reason: a slow problem falls by less than float32 resolves.
         """
         problem = some(self.problem, numbers)
         of: Any = problem.of_rows
         count = len(numbers)
         steps = self._new_steps(problem)
-        steps.begin(g, epsilon, precise)
+        steps.begin(np.array(self.g[self.problem.of_columns.points_of(numbers)]), epsilon, precise)
         self.status[numbers] = "max_iter"
         self.rounding[numbers] = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
-        reached = Reached(
-            problem.reductions, numbers, np.zeros(len(problem.a)), np.zeros(len(problem.b)),
-            np.zeros(len(problem.b)), np.zeros(count), precise,
-        )  # fmt: skip
         tol, rounding, n_softmin = (
             values if of.shape else values.tolist()[0]
             for values in (np.full(count, tol), self.rounding[numbers], self.n_softmin[numbers])
         )
         floor, noise, best = of.filled(-np.inf), of.filled(0.0), of.filled(np.inf)
         since_best, running, guessed = of.filled(0), of.filled(True), of.filled(False)
-        places, current = np.arange(count), numbers
+        reached = np.zeros(len(self.status))
+        current, whole = numbers, (*self.problem.reductions, self.problem.of_columns)
         first, least_tol = 0.0, -of.largest_of(-tol)
         while True:
             steps.update_rows()
@@ -333,19 +293,18 @@ class Iteration:
             ended = within | stalled | (live & (n_iter >= limit)) | steps.outside_trust_region()
             if of.any(ended):
                 here = of.numbers(ended)
-                for into, values, whole, own in zip(
-                    (reached.f, reached.g, reached.t_columns), steps.potentials(),
-                    (*reached.of, reached.of[1]), (*problem.reductions, problem.of_columns),
-                    strict=True,
+                for into, values, of_all, own in zip(
+                    (self.f, self.g, self.t_columns), steps.potentials(), whole,
+                    (*problem.reductions, problem.of_columns), strict=True,
                 ):  # fmt: skip
-                    into[whole.points_of(places[here])] = values[own.points_of(here)]
-                reached.residual[places[here]] = np.atleast_1d(residual)[here]
+                    into[of_all.points_of(current[here])] = values[own.points_of(here)]
+                reached[current[here]] = np.atleast_1d(residual)[here]
                 self.n_softmin[current[here]] = np.atleast_1d(n_softmin)[here]
                 for status, which in (("precision", stalled), ("converged", within)):
                     self.status[current[of.numbers(which)]] = status
                 running = of.without(running, ended)
                 if not of.any(running):
-                    return reached
+                    return reached[numbers]
             problem.settle(residual)
             # The dual that the plain iteration has reached.
             floor = of.choose(live, steps.column_dual, floor)
@@ -354,7 +313,7 @@ class Iteration:
             guessed = steps.go_on(may)
             if of.any(ended) and np.count_nonzero(running) <= (1 - STOPPED) * len(current):
                 kept = np.flatnonzero(running)
-                problem, places, current = steps.keep(kept), places[kept], current[kept]
+                problem, current = steps.keep(kept), current[kept]
                 of = problem.of_rows
                 tol, rounding, floor, noise, best, since_best, running, guessed, n_softmin = (
                     values[kept]

@@ -109,13 +109,8 @@ FINENESSES = (
 )  # fmt: skip
 
 
-class Multiscale:
-    """One solve of a large problem between two measures, with the attributes of `Iteration`."""
-
-    state: State
-    status: str
-    rounding: float
-    precise: bool
+class Multiscale(Outcome):
+    """One solve of a large problem between two measures, by iterations over its points."""
 
     def __init__(
         self,
@@ -127,24 +122,19 @@ class Multiscale:
         precision: str,
         report: Callable[[float], None],
     ) -> None:
-        self.problem, self._pair = problem, pair
-        self.tol, self.precision = tol, precision
-        self.residuals: list[float] = []
-        self._blur, self._max_iter, self._report, self._reported = blur, max_iter, report, 0.0
+        none = State(*(np.zeros(0),) * 4, np.inf)
+        super().__init__(problem, tol, precision, none, "max_iter", [], 0, 2, 0.0, False)
+        self._pair, self._blur, self._max_iter = pair, blur, max_iter
+        self._report, self._reported = report, 0.0
         self._floor = CYCLE_FLOOR  # of the clusters
-        self._n_softmin = 0  # of iterations over the points
         #: The choices of pairs to store that are not known to have too many.
         self._choices = list(STORED_CHOICES)
 
-    @property
-    def n_iter(self) -> int:
-        """Iterations over the points so far."""
-        return -(-self._n_softmin // 2)
-
-    def run(self, start: Array | None) -> None:
+    def run(self, start: Array | None) -> Outcome:
         """Solve from potentials g, or from the largest blur of the annealing."""
         self._cycle(*self._begin(start))
         self._report_share(1.0)
+        return self
 
     def _begin(self, start: Array | None) -> tuple[CoarseGrid | None, Array]:
         """Return the problem of the clusters, if cycles correct it, and first potentials g."""
@@ -248,11 +238,11 @@ class Multiscale:
         iteration = Iteration(
             self.problem, self._blur, tol, self._max_iter - (0 if last else SPARE_ITERATIONS),
             self.precision, lambda share: self._report_share(reported + (end - reported) * share),
-            certify=last, n_softmin=self._n_softmin,
+            certify=last, n_softmin=self.n_softmin,
         )  # fmt: skip
         iteration.run(g)
         found = iteration.alone()
-        self._n_softmin = found.n_softmin
+        self.n_softmin = found.n_softmin
         # The last one is measured again, unless this is the end.
         self.residuals += found.residuals[: None if last else -1]
         return found
@@ -273,7 +263,7 @@ class Multiscale:
             t_rows = problem.softmin_rows(g, epsilon, precise, last)
             f, g, t_rows, _ = problem.half_step(0, g, t_rows, epsilon)
             t_columns = problem.softmin_columns(f, epsilon, precise, last)
-            self._n_softmin += 2
+            self.n_softmin += 2
             residual = problem.residual(f, g, t_rows, t_columns, epsilon)
             self.state = State(f, g, t_rows, t_columns, residual)
             self.residuals.append(residual)

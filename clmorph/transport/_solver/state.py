@@ -28,18 +28,23 @@ class State(NamedTuple):
 
 @dataclass
 class Outcome:
-    """The end of the solve of one problem, with the numbers of `Iteration`."""
+    """The solve of one problem, with the numbers of `Iteration`."""
 
     problem: Problem
+    tol: float
+    precision: str
     state: State
     status: str
     residuals: list[float]
     n_softmin: int
-    n_iter: int
+    softmins: int  #: of an iteration
     rounding: float
-    tol: float
-    precision: str
     precise: bool
+
+    @property
+    def n_iter(self) -> int:
+        """Iterations so far."""
+        return -(-self.n_softmin // self.softmins)
 
 
 def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
