@@ -103,9 +103,9 @@ def a_few_steps(steps: Steps, g: np.ndarray, epsilon: float, precise: bool) -> l
         steps.go_on(True)
     steps.update_rows()
     steps.take_back()
-    steps.update_rows()
-    steps.update_columns()
-    return [*steps.potentials(), np.array([steps.row_dual[1], steps.column_dual])]
+    _, dual = steps.update_rows()
+    _, column_dual, _ = steps.update_columns()
+    return [*steps.potentials(), np.array([dual, column_dual])]
 
 
 def exercise(operations: Operations) -> list[np.ndarray]:

@@ -206,18 +206,18 @@ def test_an_extrapolation_that_is_taken_back_costs_one_softmin(device, rng, monk
         clmorph.sinkhorn, *measures, blur=0.1, reach=0.5, tol=1e-5, backend=device
     )
     wanted = solve()
-    real, taken_back = steps.DeviceSteps.row_dual, []
+    real, taken_back = steps.DeviceSteps.update_rows, []
     back = steps.DeviceSteps.take_back
 
     def lower(self):
-        mass, dual = real.fget(self)
+        mass, dual = real(self)
         return mass, dual - (1.0 if self._guessed and not taken_back else 0.0)
 
     def counted(self, which):
         taken_back.append(self.ahead)
         back(self, which)
 
-    monkeypatch.setattr(steps.DeviceSteps, "row_dual", property(lower))
+    monkeypatch.setattr(steps.DeviceSteps, "update_rows", lower)
     monkeypatch.setattr(steps.DeviceSteps, "take_back", counted)
     found = solve()
     assert taken_back == [1]

@@ -264,9 +264,8 @@ class Iteration:
         current, whole = numbers, (*self.problem.reductions, self.problem.of_columns)
         first, least_tol = 0.0, -of.largest_of(-tol)
         while True:
-            steps.update_rows()
+            mass, dual = steps.update_rows()
             n_softmin = n_softmin + running
-            mass, dual = steps.row_dual
             # A half-step does not lower the dual: rounding does, or pairs left out.
             noise = of.larger(noise, of.choose(guessed, 0.0, NOISE_MARGIN * (floor - dual)))
             live = running
@@ -280,7 +279,7 @@ class Iteration:
                     if not of.any(live):
                         guessed = of.without(guessed, bad)
                         continue
-            residual = steps.update_columns()
+            residual, column_dual, moved = steps.update_columns()
             n_softmin = n_softmin + live * (self._softmins - 1)
             self._records.append((current, live, residual))
             since_best = of.choose(live, (since_best + 1) * (residual >= 0.9 * best), since_best)
@@ -290,7 +289,8 @@ class Iteration:
             self._report_share(self._done + self._level_share * share)
             stalled = live & (since_best >= self._patience) & (leave | (residual <= rounding))
             within, n_iter = live & (residual <= tol), -(-n_softmin // self._softmins)
-            ended = within | stalled | (live & (n_iter >= limit)) | steps.outside_trust_region()
+            outside = moved > problem.trust_radius * epsilon
+            ended = within | stalled | (live & (n_iter >= limit)) | outside
             if of.any(ended):
                 here = of.numbers(ended)
                 for into, values, of_all, own in zip(
@@ -307,7 +307,7 @@ class Iteration:
                     return reached[numbers]
             problem.settle(residual)
             # The dual that the plain iteration has reached.
-            floor = of.choose(live, steps.column_dual, floor)
+            floor = of.choose(live, column_dual, floor)
             # An extrapolation can cost one softmin more, which the limit must allow.
             may = running & live & (n_iter + 1 < limit) & (self._max_iter >= SHORT)
             guessed = steps.go_on(may)

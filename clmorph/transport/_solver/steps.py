@@ -35,12 +35,8 @@ class Steps(Protocol):
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
         """Set the potential g, (M,), at which the next iteration begins."""
 
-    def update_rows(self) -> None:
-        """Update f and the shift of g."""
-
-    @property
-    def row_dual(self) -> tuple[Any, Any]:
-        """The mass of the plan, and the dual, after `update_rows`."""
+    def update_rows(self) -> tuple[Any, Any]:
+        """Update f and the shift of g, and return the mass of the plan and the dual."""
 
     def take_back(self, which: Any = True) -> None:
         """Drop the extrapolations of some problems, which go on at the images before."""
@@ -48,15 +44,11 @@ class Steps(Protocol):
     def accept(self, which: Any = True) -> None:
         """Keep the extrapolations of some problems, whose duals are good."""
 
-    def update_columns(self) -> Any:
-        """Update g and the shift of f, and return the residual before."""
+    def update_columns(self) -> tuple[Any, Any, Any]:
+        """Update g and the shift of f, and return the residual before, the dual, and f's move.
 
-    def outside_trust_region(self) -> Any:
-        """Return whether f is outside the region where the problem is valid."""
-
-    @property
-    def column_dual(self) -> Any:
-        """The dual after `update_columns`."""
+        That is how far f is from the center of the trust region.
+        """
 
     def go_on(self, extrapolate: Any) -> Any:
         """Choose the next potentials, and return for which problems they are extrapolations."""
@@ -115,31 +107,24 @@ class HostSteps:
         self._fallback = g
         self._enough = dual_rounding(self._problem, epsilon, precise)
 
-    def update_rows(self) -> None:
+    def update_rows(self) -> tuple[Any, Any]:
         problem, epsilon, self._back = self._problem, self._epsilon, np.False_
         softmin = problem.softmin_rows(self._g, epsilon, self._precise)
         self._rows = take_step(problem, 0, self._g, softmin, epsilon, self._enough)
-
-    @property
-    def row_dual(self) -> tuple[Any, Any]:
         return self._rows.mass, self._rows.dual
 
     def take_back(self, which: Any = np.True_) -> None:
         self._g, self._back = self._chosen(which, self._fallback, self._g), which
         self._memory.rejected(which)
 
-    def update_columns(self) -> Any:
+    def update_columns(self) -> tuple[Any, Any, Any]:
         problem, rows, epsilon = self._problem, self._rows, self._epsilon
         softmin = problem.softmin_columns(rows.f, epsilon, self._precise)
-        self._columns = take_step(problem, 1, rows.f, softmin, epsilon, self._enough, rows.log_mass)
-        return problem.residual(rows.f, rows.g, rows.softmin, softmin, epsilon)
-
-    def outside_trust_region(self) -> Any:
-        return self._problem.outside_trust_region(self._columns.f, self._epsilon)
-
-    @property
-    def column_dual(self) -> Any:
-        return self._columns.dual
+        own = self._columns = take_step(
+            problem, 1, rows.f, softmin, epsilon, self._enough, rows.log_mass
+        )
+        residual = problem.residual(rows.f, rows.g, rows.softmin, softmin, epsilon)
+        return residual, own.dual, problem.farthest(own.f)
 
     def go_on(self, extrapolate: Any) -> Any:
         image, extrapolated = self._columns.g, np.logical_and(extrapolate, False)
@@ -196,10 +181,10 @@ class DeviceSteps:
 
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
         of: Any = self._problem.of_rows
-        self._epsilon, self._source, self._guessed = epsilon, of.filled(START), of.filled(False)
+        self._source, self._guessed = of.filled(START), of.filled(False)
         self._iteration.set_potential(g, epsilon, precise)
 
-    def update_rows(self) -> None:
+    def update_rows(self) -> tuple[Any, Any]:
         """Run an iteration, as if its potential were good."""
         of: Any = self._problem.of_rows
         ring, begun = self._ring, self._ring.begun
@@ -211,9 +196,6 @@ class DeviceSteps:
         self._numbers = self._iteration.iterate(control, radius)
         if of.any(of.without(of.filled(True), self._numbers.finite)):
             raise not_finite(self._problem, int(np.argmin(self._numbers.finite)))
-
-    @property
-    def row_dual(self) -> tuple[Any, Any]:
         return self._numbers.mass, self._numbers.row_dual
 
     def take_back(self, which: Any = np.True_) -> None:
@@ -223,16 +205,9 @@ class DeviceSteps:
         self._ring.rejected(which)
         self._guessed = of.without(self._guessed, which)
 
-    def update_columns(self) -> Any:
-        """Return the residual before g was updated, which `update_rows` has computed."""
-        return self._numbers.residual
-
-    def outside_trust_region(self) -> Any:
-        return self._numbers.moved > self._problem.trust_radius * self._epsilon
-
-    @property
-    def column_dual(self) -> Any:
-        return self._numbers.column_dual
+    def update_columns(self) -> tuple[Any, Any, Any]:
+        """Return what `update_rows` has computed already."""
+        return self._numbers.residual, self._numbers.column_dual, self._numbers.moved
 
     def go_on(self, extrapolate: Any) -> Any:
         of: Any = self._problem.of_rows

@@ -14,6 +14,7 @@ from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.batch import some
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.steps import Steps
 
 
 def is_symmetric(pair: tuple[AnyMeasure, AnyMeasure], rho: tuple[float, float]) -> bool:
@@ -37,11 +38,10 @@ def are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
     return places and np.array_equal(source.weights, target.weights)
 
 
-class SymmetricSteps:
+class SymmetricSteps(Steps):
     """Steps of one problem or of many, all symmetric; see `Steps`. Nothing is extrapolated."""
 
     ahead = 0
-    column_dual = 0.0
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
@@ -49,25 +49,13 @@ class SymmetricSteps:
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
         self._f, self._epsilon, self._precise = g, epsilon, precise
 
-    def update_rows(self) -> None:
+    def update_rows(self) -> tuple[Any, Any]:
         self._softmin = self._problem.softmin_rows(self._f, self._epsilon, self._precise)
-
-    @property
-    def row_dual(self) -> tuple[Any, Any]:
         return self._problem.masses[0], 0.0
 
-    def take_back(self, which: Any = True) -> None:
-        """Do nothing: there is no extrapolation."""
-
-    def accept(self, which: Any = True) -> None:
-        """Do nothing: there is no extrapolation."""
-
-    def update_columns(self) -> Any:
+    def update_columns(self) -> tuple[Any, Any, Any]:
         f, softmin = self._f, self._softmin
-        return self._problem.residual(f, f, softmin, softmin, self._epsilon)
-
-    def outside_trust_region(self) -> Any:
-        return False
+        return self._problem.residual(f, f, softmin, softmin, self._epsilon), 0.0, 0.0
 
     def go_on(self, extrapolate: Any) -> Any:
         damping = self._problem.damping(self._epsilon)[0]
