@@ -11,7 +11,7 @@ import clmorph
 from clmorph import ConvergenceWarning, InputError
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.transport import certificate, sinkhorn_batch
-from clmorph.transport._solver import checks
+from clmorph.transport._solver import softmin
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.reductions import WHOLE, Segments
 
@@ -214,7 +214,7 @@ def test_hard_problems_take_the_iterations_of_a_solve_alone(any_backend, rng, bl
 
 def test_many_pairs_are_solved_alone(monkeypatch, rng):
     pairs = random_pairs(rng, 3, (30, 40))
-    monkeypatch.setattr(checks, "MANY_PAIRS", 900)
+    monkeypatch.setattr(softmin, "MANY_PAIRS", 900)
     found = solve(pairs, 0.1, 0.3, backend="numpy")
     for pair, ours in zip(pairs, found, strict=True):
         alone = clmorph.sinkhorn(*pair, 0.1, 0.3, truncation=1e-4, backend="numpy")

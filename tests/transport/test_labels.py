@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 import clmorph
 from clmorph import InputError
 from clmorph.images.label_maps import reduced_labels
-from clmorph.transport._solver import checks
+from clmorph.transport._solver import softmin
 from clmorph.transport.regularization import regularization
 
 
@@ -252,7 +252,7 @@ def test_large_labels_go_through_coarser_problems(monkeypatch, rng):
     found = module.by_label(source, target, labels, None, given)
     assert [part.label for part in found] == [0, 5]
     with monkeypatch.context() as changed:
-        changed.setattr(checks, "MANY_PAIRS", 1)
+        changed.setattr(softmin, "MANY_PAIRS", 1)
         solved, whole = module.solve_parts(
             found, (source.mass, target.mass), given, 1e-3, 2000, clmorph.get_backend("numpy"),
             lambda share: None,

@@ -14,9 +14,8 @@ from plain import sinkhorn
 import clmorph
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.pipeline.pair_count import predict_pairs
-from clmorph.transport._solver import checks
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import LEAST_RESERVE, Softmin, many_pairs_factor
+from clmorph.transport._solver.softmin import LEAST_RESERVE, MANY_PAIRS, Softmin, many_pairs
 from clmorph.transport.regularization import regularization
 
 MANY = settings(max_examples=60, deadline=None, derandomize=True)
@@ -219,8 +218,7 @@ def test_divergences_of_many_points_are_truncated_and_stay_bounded(device, monke
     pair = pair_of("picture", rng, 500, 600)
     want = plain.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
     assert want.cross.truncation is want.source_self.truncation is None
-    for module in ("checks", "multiscale"):
-        monkeypatch.setattr(f"clmorph.transport._solver.{module}.MANY_PAIRS", 0)
+    monkeypatch.setattr("clmorph.transport._solver.softmin.MANY_PAIRS", 0)
     got = plain.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
     for part in (got.cross, got.source_self, got.target_self):
         assert part.truncation == pytest.approx(1e-5)
@@ -237,10 +235,10 @@ def test_a_fast_card_sums_more_pairs_without_truncation(monkeypatch, rng, rate, 
     """By its recorded rate; a processor, whatever its rate is, does as before."""
     operations = NumPyOperations()
     operations.pairs_per_second = rate
-    assert many_pairs_factor(operations) == 1
+    assert many_pairs(operations) == MANY_PAIRS
     operations.on_processor = False
-    assert many_pairs_factor(operations) == factor
-    monkeypatch.setattr(checks, "MANY_PAIRS", 301)
+    assert many_pairs(operations) == factor * MANY_PAIRS
+    monkeypatch.setattr("clmorph.transport._solver.softmin.MANY_PAIRS", 301)
     source, target = pair_of("picture", rng, 40, 60)
     found = sinkhorn(source, target, 0.2, 0.3, 1e-2, backend=operations)
     assert (found.truncation is None) == (factor > 1)

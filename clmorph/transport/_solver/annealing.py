@@ -14,7 +14,7 @@ from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.coarse_grid import expanded
 from clmorph.transport._solver.iteration import Iteration, top_blur
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin, many_pairs_factor
+from clmorph.transport._solver.softmin import Softmin, many_pairs
 from clmorph.transport._solver.state import State
 
 #: Side of the clusters at a level, in units of its blur.
@@ -102,8 +102,7 @@ def anneal(
 
 def _level_truncation(problem: Problem, rows: int, columns: int) -> float | None:
     """Return the truncation at a level of this many points; None takes all pairs."""
-    many = many_pairs_factor(problem.operations) * MANY_PAIRS
-    if problem.truncation is None or rows * columns < many:
+    if problem.truncation is None or rows * columns < many_pairs(problem.operations):
         return None
     return LEVEL_TRUNCATION
 

@@ -19,11 +19,16 @@ class BatchSoftmin(Softmin):
     """The operators T of many problems, over all pairs; `numbers`, (B,), are theirs in a batch."""
 
     def __init__(
-        self, operations: Operations, sides: tuple["BatchSide", "BatchSide"], numbers: IntArray
+        self,
+        operations: Operations,
+        numbers: IntArray,
+        clouds: tuple[Any, Any],
+        weights: tuple[Array, Array],
+        reductions: tuple[Any, Any],
     ) -> None:
-        rows, columns = sides
-        super().__init__(operations, rows.cloud, columns.cloud, (rows.weights, columns.weights))
-        self.numbers, self._starts, self.n_columns = numbers, rows.of.starts, columns.of.counts
+        super().__init__(operations, *clouds, weights)
+        self.numbers, self._starts = numbers, reductions[0].starts
+        self.n_columns = reductions[1].counts
 
     def _over(
         self, near: NearPairs | None, potential: Array, epsilon: float, precise: bool, bounded: bool
@@ -59,23 +64,17 @@ def not_finite(problem: Problem, number: int) -> Exception:
     )
 
 
-class BatchSide(NamedTuple):
+class _Side(NamedTuple):
     """The sources, or the targets, of many problems."""
 
-    of: Any  #: Segments
+    of: Segments
     weights: Array
     cloud: Any
-
-    def some(self, operations: Operations, problems: IntArray, uploaded: bool) -> "BatchSide":
-        """Return this side of some problems; its cloud only if it is to be `uploaded`."""
-        cloud = operations.take_batch(self.cloud, problems) if uploaded else None
-        return BatchSide(self.of.some(problems), self.weights[self.of.points_of(problems)], cloud)
+    corners: tuple[Array, Array]  #: of boxes around them, (B, D)
+    ranges: Array  #: of their offsets, (B,)
 
 
-def _uploaded(
-    operations: Operations, measures: list[AnyMeasure]
-) -> tuple[BatchSide, Array, Array, Array]:
-    """Return a side, the corners of boxes around its measures, (B, D), and ranges of offsets."""
+def _uploaded(operations: Operations, measures: list[AnyMeasure]) -> _Side:
     of = Segments(np.array([len(measure) for measure in measures]))
     points, weights = (
         np.concatenate([getattr(measure, name) for measure in measures])
@@ -89,37 +88,36 @@ def _uploaded(
         ])  # fmt: skip
         ranges = of.largest(offsets) + of.largest(-offsets)
     cloud = operations.upload_batch(points, weights, of.counts, offsets)
-    low, high = (each.reduceat(points, of.starts) for each in (np.minimum, np.maximum))
-    return BatchSide(of, weights, cloud), low, high, ranges
+    corners = np.minimum.reduceat(points, of.starts), np.maximum.reduceat(points, of.starts)
+    return _Side(of, weights, cloud, corners, ranges)
 
 
 def problem_of_many(
     operations: Operations, pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float]
 ) -> Problem:
     """Return the problems of many pairs (source, target), all in one dimension, as one."""
-    found = _uploaded(operations, [source for source, _ in pairs])
-    sides = [found, found]
+    rows = columns = _uploaded(operations, [source for source, _ in pairs])
     if any(source is not target for source, target in pairs):
-        sides[1] = _uploaded(operations, [target for _, target in pairs])
-    (rows, low, high, one), (columns, *corners, other) = sides
-    largest = cost_across(np.minimum(low, corners[0]), np.maximum(high, corners[1]))
-    oscillations = largest + one, largest + other
-    return _problem(operations, (rows, columns), np.arange(len(pairs)), rho, largest, oscillations)
+        columns = _uploaded(operations, [target for _, target in pairs])
+    (low, high), (other_low, other_high) = rows.corners, columns.corners
+    largest = cost_across(np.minimum(low, other_low), np.maximum(high, other_high))
+    return _problem(
+        operations, np.arange(len(pairs)), (rows.cloud, columns.cloud),
+        (rows.weights, columns.weights), (rows.of, columns.of), rho, largest,
+        (largest + rows.ranges, largest + columns.ranges),
+    )  # fmt: skip
 
 
 def _problem(
-    operations: Operations,
-    sides: tuple[BatchSide, BatchSide],
-    numbers: IntArray,
-    rho: tuple[float, float],
-    largest: Array,
-    oscillations: tuple[Array, Array],
-) -> Problem:
-    rows, columns = sides
+    operations: Operations, numbers: IntArray, clouds: tuple[Any, Any],
+    weights: tuple[Array, Array], reductions: tuple[Any, Any], rho: tuple[float, float],
+    largest: Array, oscillations: tuple[Array, Array],
+) -> Problem:  # fmt: skip
+    sides = clouds, weights, reductions
     return Problem(
-        BatchSoftmin(operations, (rows, columns), numbers),
-        BatchSoftmin(operations, (columns, rows), numbers),
-        (rows.weights, columns.weights), rho, largest, (rows.of, columns.of), oscillations,
+        BatchSoftmin(operations, numbers, *sides),
+        BatchSoftmin(operations, numbers, *(each[::-1] for each in sides)),
+        weights, rho, largest, reductions, oscillations,
     )  # fmt: skip
 
 
@@ -127,20 +125,20 @@ def some(problem: Problem, problems: IntArray, uploaded: bool = True) -> Problem
     """Return some of many problems, or the only one; without softmins unless `uploaded`."""
     if len(problems) == np.size(problem.masses[0]) or not problem.of_rows.shape:
         return problem
-    operations, symmetric = problem.operations, problem.to_columns is problem.to_rows
-    rows, columns = (
-        BatchSide(of, weights, cloud).some(operations, problems, uploaded)
-        for of, weights, cloud in (
-            (problem.of_rows, problem.a, problem.rows),
-            (problem.of_columns, problem.b, problem.columns),
-        )
-    )
+    operations = problem.operations
+    rows, columns = (of.points_of(problems) for of in problem.reductions)
+    clouds = [
+        operations.take_batch(cloud, problems) if uploaded else None
+        for cloud in (problem.rows, problem.columns)
+    ]
     one, other = problem.oscillations
     made = _problem(
-        operations, (rows, columns), problem.to_rows.numbers[problems], problem.rho,
+        operations, problem.to_rows.numbers[problems], (clouds[0], clouds[1]),
+        (problem.a[rows], problem.b[columns]),
+        (problem.of_rows.some(problems), problem.of_columns.some(problems)), problem.rho,
         problem.largest_cost[problems], (one[problems], other[problems]),
     )  # fmt: skip
-    if symmetric:
+    if problem.to_columns is problem.to_rows:
         made.to_columns = made.to_rows
     made.exact_sums = problem.exact_sums
     return made

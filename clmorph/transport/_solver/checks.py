@@ -10,7 +10,7 @@ from clmorph.errors import DeviceError, InputError
 from clmorph.measures.grid import are_grids
 from clmorph.measures.points import AnyMeasure, corners_of, dimension_of
 from clmorph.transport._solver.problem import largest_cost
-from clmorph.transport._solver.softmin import FEW_DIMENSIONS, MANY_PAIRS, many_pairs_factor
+from clmorph.transport._solver.softmin import FEW_DIMENSIONS, many_pairs
 from clmorph.transport.options import AlgorithmOptions, SolverOptions
 from clmorph.transport.regularization import Regularization
 
@@ -44,8 +44,7 @@ def is_large(pair: tuple[AnyMeasure, AnyMeasure], operations: Operations | None 
     """Return whether a problem is solved through coarser ones, with truncated sums."""
     if are_grids(*pair) or dimension_of(pair[0]) > FEW_DIMENSIONS:
         return False
-    factor = 1 if operations is None else many_pairs_factor(operations)
-    return len(pair[0]) * len(pair[1]) >= factor * MANY_PAIRS
+    return len(pair[0]) * len(pair[1]) >= many_pairs(operations)
 
 
 def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:

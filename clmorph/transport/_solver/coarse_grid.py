@@ -1,7 +1,7 @@
 """Coarse problems that approximate a large one, by clusters or by pairs of notable mass."""
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -103,13 +103,6 @@ class CorrectedProblem(Problem):
         return f
 
 
-class Restriction(Protocol):
-    """The operator that restricts values of the points to a coarse problem."""
-
-    def restrict(self, values: Array, weights: Array) -> Array:
-        """Return means of values, (N,), weighted by mass: one for each coarse point."""
-
-
 class Reordering:
     """The restriction to a coarse problem that has the points in another order, (N,)."""
 
@@ -131,8 +124,8 @@ class CoarseGrid(NamedTuple):
     """A coarse problem, with the operators that transfer values between it and the points."""
 
     problem: CorrectedProblem
-    source: Restriction
-    target: Restriction
+    source: Clusters | Reordering
+    target: Clusters | Reordering
     to_target: Softmin  #: prolongs from its rows to the points of the target
 
     def prolong(self, new_f: Array, old_f: Array, epsilon: float) -> Array:

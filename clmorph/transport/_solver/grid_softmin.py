@@ -16,7 +16,7 @@ from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.backends.rounding import rounding_error
 from clmorph.measures.grid import Grid
-from clmorph.transport._solver.softmin import check_finite
+from clmorph.transport._solver.softmin import Softmin, check_finite
 
 #: Relative error of a power, a sum of few terms or a coordinate in float64, with room to spare.
 UNIT = 2.0**-50
@@ -24,17 +24,12 @@ UNIT = 2.0**-50
 OF_COSTS = 8.0
 
 
-class GridSoftmin:
-    """The operator T between two grids; it has what `Softmin` has, and leaves out nothing."""
-
-    near = guess = truncation = None
-    left_out, visited = 0.0, 1.0
+class GridSoftmin(Softmin):
+    """The operator T between two grids, which leaves out nothing."""
 
     def __init__(self, operations: Operations, rows: Grid, columns: Grid) -> None:
-        self.operations, self.rows, self.columns = operations, rows, columns
-        self.weights = rows.weights, columns.weights
+        super().__init__(operations, rows, columns, (rows.weights, columns.weights))
         self.n_columns = sum(columns.shape)
-        self.roundoff: Any = 0.0
         with np.errstate(divide="ignore"):
             self._log_weights = np.log(columns.weights)
 
@@ -83,8 +78,7 @@ class GridSoftmin:
         A pass rounds exponents relative to their range, which squared distances and numbers of
         terms enlarge, squared distances relative to the extent's, and its sums once a term.
         """
-        massive = self.weights[1] > 0
-        given, logarithms = exponents[massive], self._log_weights[massive]
+        given, logarithms = exponents[self._massive], self._log_weights[self._massive]
         size = float(np.abs(given).max() + np.abs(logarithms).max())
         total = 0.0
         for x, y in zip(self.rows.axes, self.columns.axes, strict=True):
@@ -100,9 +94,3 @@ class GridSoftmin:
         return rounding_error(
             self.operations, self.n_columns, 2 * largest_cost / epsilon, precise, exact or precise
         )
-
-    def settle(self, residual: float) -> None:
-        """Do nothing: no cells are left out."""
-
-    def release(self) -> None:
-        """Do nothing: all cells are summed."""

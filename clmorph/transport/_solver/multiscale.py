@@ -33,11 +33,10 @@ from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import (
     LEAST_RESERVE,
-    MANY_PAIRS,
     RESERVE,
     SETTLED_RESERVE,
     Softmin,
-    many_pairs_factor,
+    many_pairs,
 )
 from clmorph.transport._solver.state import (
     ROUNDING_MARGIN,
@@ -183,8 +182,8 @@ class Multiscale(Outcome):
         operations, rho, truncation = points.operations, points.rho, points.truncation
         clusters = source.measure, target.measure
         coarser = None
-        many = many_pairs_factor(operations) * MANY_PAIRS
-        if truncation is not None and len(clusters[0]) * len(clusters[1]) >= many:
+        pairs = len(clusters[0]) * len(clusters[1])
+        if truncation is not None and pairs >= many_pairs(operations):
             coarser = COARSER * truncation
         problem = CorrectedProblem.between(operations, *clusters, rho, coarser)
         missing = None if truncation is None else max(truncation, PROLONGATION_TRUNCATION)

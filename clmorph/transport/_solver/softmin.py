@@ -33,15 +33,15 @@ ROUNDING_SHARE = 0.3
 ATTEMPTS = 3
 
 
-def many_pairs_factor(operations: Operations) -> int:
-    """Return by which factor `MANY_PAIRS` are more on a device: 1, 8 or 64.
+def many_pairs(operations: Operations | None = None) -> int:
+    """Return `MANY_PAIRS`, which are 8 or 64 times as many on a fast device.
 
     The steps are wide, so that a repeated measurement of the device rarely changes it.
     """
-    if operations.on_processor:
-        return 1
+    if operations is None or operations.on_processor:
+        return MANY_PAIRS
     ratio = max(1.0, operations.pairs_per_second / USUAL_RATE)
-    return int(8 ** min(2, round(math.log(ratio, 8))))
+    return MANY_PAIRS * int(8 ** min(2, round(math.log(ratio, 8))))
 
 
 class Softmin:
