@@ -40,8 +40,9 @@ def sinkhorn_divergence(
 
     Values and derivatives are those of `clmorph.sinkhorn_divergence`, in closed form. The solver
     runs on the host as a callback, so this works under `jax.jit`, `jax.grad` and `jax.vmap`
-    (one problem after another). Second derivatives in reverse mode are Hessian-vector products
-    of `clmorph.hessian_product`, for positive weights.
+    (one problem after another), in forward mode (`jax.jvp`) and in reverse mode. Second
+    derivatives, `jax.hessian` too, are Hessian-vector products of `clmorph.hessian_product`, for
+    positive weights; there are no third ones.
 
     Parameters
     ----------
@@ -81,6 +82,7 @@ def sinkhorn_divergence(
     try:
         import jax
         import jax.numpy as jnp
+        from jax.flatten_util import ravel_pytree
     except ImportError:
         raise InputError("clmorph.jax needs JAX: pip install 'clmorph[jax]'") from None
     try:
@@ -101,51 +103,73 @@ def sinkhorn_divergence(
     types = [jax.ShapeDtypeStruct(shape, arrays[1].dtype)]
     types += [jax.ShapeDtypeStruct(each.shape, each.dtype) for each in arrays]
 
-    @jax.custom_vjp  # type: ignore[untyped-decorator,unused-ignore]
-    def divergence(*given: Any) -> Any:
-        call = partial(_on_host, options, False, types[:1])
-        return jax.pure_callback(call, types[:1], *given, vmap_method="sequential")[0]
-
-    @jax.custom_vjp  # type: ignore[untyped-decorator,unused-ignore]
-    def differentiated(*given: Any) -> Any:
-        call = partial(_on_host, options, True, types)
+    def on_host(call: Any, types: Any, *given: Any) -> Any:
+        call = partial(call, options, types)
         return tuple(jax.pure_callback(call, types, *given, vmap_method="sequential"))
 
-    def first(*given: Any) -> Any:
-        found = differentiated(*given)
-        return found, (given, found[1:])
+    @jax.custom_jvp  # type: ignore[untyped-decorator,unused-ignore]
+    def divergence(*given: Any) -> Any:
+        return on_host(_value, types[:1], *given)[0]
 
-    def second(kept: Any, outer: Any) -> Any:
-        given, parts = kept
-        call = partial(_product_on_host, options, types[1:])
-        products = jax.pure_callback(call, types[1:], *given, *outer[1:], vmap_method="sequential")
-        plain = backward(parts, outer[0])
-        return tuple(one + other for one, other in zip(products, plain, strict=True))
+    @jax.custom_jvp  # type: ignore[untyped-decorator,unused-ignore]
+    def differentiated(*given: Any) -> Any:
+        return on_host(_value_and_gradient, types, *given)
 
-    def forward(*given: Any) -> Any:
+    def along(parts: Any, changes: Any) -> Any:
+        pairs = zip(parts, changes, strict=True)
+        summed = [(part * change).reshape(*shape, -1).sum(axis=-1) for part, change in pairs]
+        return sum(summed).astype(types[0].dtype)
+
+    def of_value(given: Any, changes: Any) -> Any:
         value, *parts = differentiated(*given)
-        return value, parts
+        return value, along(parts, changes)
 
-    def backward(parts: Any, outer: Any) -> Any:
-        return tuple(
-            part * outer.reshape(outer.shape + (1,) * (part.ndim - outer.ndim)).astype(part.dtype)
-            for part in parts
-        )
+    def of_gradient(given: Any, changes: Any) -> Any:
+        found = differentiated(*given)
+        flat, as_parts = ravel_pytree(changes)
 
-    differentiated.defvjp(first, second)
-    divergence.defvjp(forward, backward)
+        def product(_same: Any, direction: Any) -> Any:
+            parts = on_host(_product, types[1:], *given, *as_parts(direction))
+            return ravel_pytree(parts)[0]
+
+        def same(direction: Any) -> Any:
+            kind = [jax.ShapeDtypeStruct(direction.shape, direction.dtype)]
+            return on_host(_last, kind, *given, direction)[0]
+
+        # JAX can transpose, and map, what solves a symmetric system. Its matrix is the identity, in
+        # a form that depends on `given` and has no derivatives, as the product has none.
+        products = jax.lax.custom_linear_solve(same, flat, product, symmetric=True)
+        return found, (along(found[1:], changes), *as_parts(products))
+
+    divergence.defjvp(of_value)
+    differentiated.defjvp(of_gradient)
     return divergence(*arrays)
 
 
-def _product_on_host(options: dict[str, Any], types: Any, *given: Any) -> Any:
-    """Return the Hessian times a direction as arrays of the types that were announced."""
-    arrays = [np.asarray(each, float) for each in given]
-    found = changed_gradient(tuple(arrays[:4]), tuple(arrays[4:]), options)
+def _typed(found: Any, types: Any) -> Any:
+    """Return arrays of the types that were announced."""
     return [np.asarray(v, t.dtype) for v, t in zip(found, types, strict=True)]
 
 
-def _on_host(options: dict[str, Any], differentiate: bool, types: Any, *given: Any) -> Any:
-    """Return value and derivatives as arrays of the types that were announced."""
+def _value(options: dict[str, Any], types: Any, *given: Any) -> Any:
+    """Return the divergence."""
     a, x, b, y = (np.asarray(each, float) for each in given)
-    value, parts = divergence_and_gradient((a, x, b, y), differentiate, options)
-    return [np.asarray(v, t.dtype) for v, t in zip((value, *parts), types, strict=True)]
+    return _typed([divergence_and_gradient((a, x, b, y), False, options)[0]], types)
+
+
+def _value_and_gradient(options: dict[str, Any], types: Any, *given: Any) -> Any:
+    """Return the divergence and its derivatives."""
+    a, x, b, y = (np.asarray(each, float) for each in given)
+    value, parts = divergence_and_gradient((a, x, b, y), True, options)
+    return _typed((value, *parts), types)
+
+
+def _product(options: dict[str, Any], types: Any, *given: Any) -> Any:
+    """Return the Hessian times a direction."""
+    arrays = [np.asarray(each, float) for each in given]
+    return _typed(changed_gradient(tuple(arrays[:4]), tuple(arrays[4:]), options), types)
+
+
+def _last(_options: dict[str, Any], types: Any, *given: Any) -> Any:
+    """Return the last argument."""
+    return _typed(given[-1:], types)

@@ -161,3 +161,46 @@ def test_jax_second_derivatives(any_backend, rng, reach):
         want = 2 * solved.value * getattr(product, name)
         want = want + 2 * first * getattr(solved.gradient, name)
         assert np.abs(np.asarray(got) - want).max() <= 1e-3 * np.abs(want).max()
+
+
+@pytest.mark.parametrize("reach", [0.5, None])
+def test_jax_modes(rng, reach):
+    """Each mode, and each pair of modes, beside differences; compiled, mapped, and in batches."""
+    jax = pytest.importorskip("jax")
+    a, x, b, y = arrays(rng, 2, 3, balanced=reach is None)
+    change, step = rng.standard_normal(x.shape), 1e-3
+    options = {"blur": 0.3, "reach": reach, "tol": 1e-11, "backend": "numpy"}
+
+    def loss(x):
+        return clmorph.jax.sinkhorn_divergence(a, x, b, y, **options)
+
+    def difference(function):
+        # The error is of the step's fourth power.
+        weights = (1, -8), (-1, 8), (2, 1), (-2, -1)
+        return -sum(w * np.asarray(function(x + k * step * change)) for k, w in weights) / 12 / step
+
+    def along(function, *given):
+        return jax.jvp(function, given, (change,))[1]
+
+    with jax.enable_x64(True):
+        want = difference(loss), difference(jax.grad(loss))
+        np.testing.assert_allclose(jax.jit(lambda x: along(loss, x))(x), want[0], rtol=1e-6)
+        found = [jax.jit(jax.hessian(loss))(x)]
+        found += [one(other(loss))(x) for one in (jax.jacfwd, jax.jacrev)
+                  for other in (jax.jacfwd, jax.jacrev)]  # fmt: skip
+        found.append(jax.vmap(jax.hessian(loss))(np.stack([x, x]))[1])
+        found.append(jax.vmap(lambda x: along(jax.jacrev(loss), x))(np.stack([x, x])))
+        allowed = 1e-6 * np.abs(want[1]).max()
+        for each in found[:-1]:
+            product = np.einsum("ijkl,kl->ij", each, change)
+            np.testing.assert_allclose(product, want[1], atol=allowed)
+        np.testing.assert_allclose(found[-1], [want[1]] * 2, atol=allowed)
+        many = [np.stack([each, each]) for each in (a, x, b, y)]
+        slopes = jax.jvp(
+            lambda x: clmorph.jax.sinkhorn_divergence(many[0], x, *many[2:], **options),
+            (many[1],), (np.stack([change, 0 * change]),),
+        )[1]  # fmt: skip
+        np.testing.assert_allclose(slopes, [want[0], 0.0], rtol=1e-6, atol=1e-12)
+        # A third derivative that is silently 0 would be wrong.
+        with pytest.raises(ValueError, match="JVP"):
+            along(jax.hessian(loss), x)
