@@ -106,23 +106,3 @@ def test_drivers_build_without_a_warning(each_device):
         options = build_options(variant.macros(each_device.constants))
         program = cl.Program(each_device.context, source(variant.file))
         program.build([*options, "-Werror"], cache_dir=False)
-
-
-@pytest.mark.small
-def test_a_driver_refuses_a_warning(each_device):
-    """Otherwise the test above could not fail."""
-    text = "__kernel void k(__global int* p) {\n#warning here\n p[0] = 1; }"
-    with pytest.raises(cl.RuntimeError, match="here"):
-        cl.Program(each_device.context, text).build(["-Werror"], cache_dir=False)
-
-
-def test_a_warning_is_noticed(tmp_path):
-    """Such as what OpenCL C 1.2 lacks, and an index of a wrong type."""
-    clang = program("clang")
-    for text in (
-        "__kernel void k(__global int* p) { p[0] = work_group_all(1); }",
-        "__kernel void k(__global int* p) { float x = 1.0f; p[0] = 1; }",
-        "__kernel void k(const size_t n, __global int* p) { p[0] = (int)n; }",
-    ):
-        (tmp_path / "wrong.cl").write_text(text)
-        assert complaints(clang, "spir64", tmp_path / "wrong.cl", {})

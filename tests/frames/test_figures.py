@@ -248,15 +248,6 @@ class TestLogos:
         morph = clmorph.morph(*glass, backend=device, preset="logo", barycentric=True, **SMALL)
         assert morph.frame(0.5)[32, 32, 3] == pytest.approx(0.7, abs=0.05)
 
-    @pytest.mark.full
-    def test_numpy_draws_the_same(self, device, pair):
-        first, second = (
-            clmorph.morph(*pair, backend=backend, **SMALL) for backend in (device, "numpy")
-        )
-        for t in (0.25, 0.5):
-            differ = np.abs(first.frame(t) - second.frame(t)).max(axis=2)
-            assert np.mean(differ > 0.02) < 0.01
-
     def test_a_picture_without_background_fills_the_canvas(self, device):
         full = np.zeros((40, 40, 3))
         full[:, :20], full[:, 20:] = (0.8, 0.2, 0.1), (0.1, 0.3, 0.7)

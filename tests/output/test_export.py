@@ -324,6 +324,8 @@ def test_npz_loads_again(tmp_path, morph, growing):
     save(morph, tmp_path / "out.npz")
     with np.load(tmp_path / "out.npz") as plain:
         assert plain["frames"].shape == (12, 24, 32, 3)
+    with pytest.raises(InputError, match=r"take [\d.]+ kB, expected at most 900 bytes; if you"):
+        clmorph.load(tmp_path / "out.npz", max_bytes=900)
 
 
 def test_npz_of_mean_destinations_and_of_chains(tmp_path, rng):

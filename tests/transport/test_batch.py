@@ -12,7 +12,6 @@ from clmorph import ConvergenceWarning, InputError
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.transport import certificate, sinkhorn_batch
 from clmorph.transport._solver import softmin
-from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.reductions import WHOLE, Segments
 
 REFERENCE = NumPyOperations()
@@ -323,27 +322,6 @@ def test_rounding_that_is_in_the_way_is_told(device, rng):
         alone = [clmorph.sinkhorn(*pair, 0.1, 0.3, 1e-12, 300, backend=device) for pair in pairs]
     assert found.statuses == [each.status for each in alone]
     assert "precision" in found.statuses
-
-
-@pytest.mark.parametrize("bias", [-1e-5, 1e-5])
-def test_rounding_beyond_its_bound_leaves_the_acceleration(monkeypatch, bias):
-    """See the test of this name in test_acceleration.py."""
-    rng = np.random.default_rng(3)
-    stacks = [(np.full((6, 60), 1 / 60), rng.random((6, 60, 2))) for _ in range(2)]
-
-    def iterations():
-        found = clmorph.sinkhorn_batch(*stacks, 0.03, 1.0, backend="numpy", tol=1e-4, max_iter=3000)
-        return sum(each.n_iter for each in found)
-
-    few = iterations()
-    exact = Problem.softmin_columns
-    monkeypatch.setattr(
-        Problem, "softmin_columns",
-        lambda self, f, epsilon, *flags: exact(self, f, epsilon, *flags) + bias * np.max(epsilon),
-    )  # fmt: skip
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
-        assert iterations() <= 1.5 * few
 
 
 def test_errors_name_the_problem(rng):

@@ -7,7 +7,6 @@ import pytest
 
 import clmorph
 from clmorph.measures.points import WeightedPoints
-from clmorph.transport._solver.iteration import Iteration
 
 #: Shapes, spacings and origins of pairs of grids: anisotropic, descending, with an axis of one.
 PAIRS = [
@@ -299,11 +298,3 @@ def test_memory_is_proportional_to_the_number_of_cells(device):
     assert solved.converged
     assert most < 90 * source.weights.nbytes
     assert "points" not in source.__dict__, "the coordinates of all cells are needless"
-
-
-def test_the_iteration_is_the_one_of_points(monkeypatch):
-    """There is one loop."""
-    runs, run = [], Iteration.run
-    monkeypatch.setattr(Iteration, "run", lambda self, *of: runs.append(self) or run(self, *of))
-    clmorph.sinkhorn(*random_grids(PAIRS[1]), 0.1, 0.5, backend="numpy")
-    assert len(runs) == 1
