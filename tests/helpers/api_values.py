@@ -10,7 +10,6 @@ without end, with one to three arguments replaced; `rng` is a `numpy.random.Gene
 them run in this process, on the NumPy backend, with images of 3 x 3 pixels; some write files into
 the working directory, so run them in an empty one, after `furnish()`. ``ConvergenceWarning`` is
 to be ignored.
-``python tests/helpers/api_values.py`` runs the whole table, of which the tests run a part.
 """
 
 import dataclasses
@@ -20,7 +19,6 @@ import locale
 import os
 import random
 import signal
-import tempfile
 import time
 import types
 import warnings
@@ -786,33 +784,7 @@ def _digest(value: Any, depth: int = 0) -> Any:
     return id(value)
 
 
-def main() -> None:
-    """Run the whole table, in a temporary folder; print what is wrong."""
-    warnings.simplefilter("error")
-    warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
-    wrong = count = 0
-    find_devices()  # pyopencl sets a variable of the environment when it is imported
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        furnish()
-        for name in public_functions():
-            for description, call in single(name):
-                count += 1
-                try:
-                    check(description, call)
-                except AssertionError as error:
-                    wrong += 1
-                    print(error)
-        os.chdir("/")
-    print(f"{count} calls, {wrong} wrong")
-    raise SystemExit(bool(wrong))
-
-
 def furnish() -> None:
     """Write into the working directory the files that good arguments name."""
     Image.new("RGB", (3, 3)).save("a.png")
     examples()["morph"].save("a.npz")
-
-
-if __name__ == "__main__":
-    main()
