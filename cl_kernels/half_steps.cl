@@ -82,28 +82,37 @@ INLINE real dual_part(
     return balanced ? found : OVER(found, inverse_rho);
 }
 
+// The dual of potentials in these places.
+#define DUAL(f, g)                                                                             \
+    dual_of(epsilon, plan_mass,                                                                \
+            dual_part(ROW(ROW_WEIGHTS), ROW(f), own_n, inverse_rho_source, shared),            \
+            dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(g), own_m, inverse_rho_target, shared))
+
+// Arguments of both steps. This softmin has q = n or m rows; the next one has those of the other side.
+#define STEP_ARGUMENTS                                                                         \
+    const __global uint* restrict problems, const uint only_control,                           \
+    const uint n, const uint m, const uint shares, const uint planes, const uint n_listed,     \
+    const real k, const real epsilon, const real inverse_rho_source,                           \
+    const real inverse_rho_target,                                                             \
+    const __global float* restrict maxima,    /* (shares, q) */                                \
+    const __global float* restrict sums,      /* (shares, q) */                                \
+    const __global real* restrict row_level,  /* (q / TILE,): of this softmin */               \
+    __global real* restrict rows,             /* (slots, n) */                                 \
+    __global real* restrict columns,          /* (slots, m) */                                 \
+    const __global real* restrict tile_costs, /* of pairs of tiles, rows of the next first */  \
+    __global real* restrict tile_max,         /* (largest number of tiles,) */                 \
+    __global real* restrict next_level,       /* (its tiles,): of the next softmin */          \
+    __global float* restrict logits,          /* (2, q): of the next softmin */                \
+    __global float* restrict levels,          /* see prepare_softmin */                        \
+    __global real* restrict numbers           /* (groups, NUMBER_COUNT) */
+
 // After T(g): f, the shift of g, and the dual. Then the softmin of the columns, T(f), is prepared.
 //   s = translation(g, T(g));  T(g) <- T(g) - s;  f = Delta_a T(g);  g <- g + s
 //   m(pi) = sum_i a_i exp((f_i - T(g)_i) / epsilon);  the dual of (f, g), by which the host keeps the extrapolation
 //   before it or takes that back
 // Shapes: T(g), f (n,), g (m,), numbers (NUMBER_COUNT,). Launch: a work-group for each problem.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void row_step(
-    const __global uint* restrict problems, const uint only_control,
-    const uint n, const uint m, const uint shares, const uint planes, const uint n_listed,
-    const real k, const real epsilon, const real inverse_rho_source,
-    const real inverse_rho_target,
-    const __global float* restrict maxima,       // (shares, n)
-    const __global float* restrict sums,         // (shares, n)
-    const __global real* restrict row_level,   // (n / TILE,): of this softmin
-    __global real* restrict rows,              // (slots, n)
-    __global real* restrict columns,           // (slots, m)
-    const __global real* restrict tile_costs,  // of pairs of tiles, columns first
-    __global real* restrict tile_max,          // (largest number of tiles,)
-    __global real* restrict next_level,        // (m / TILE,): of the next softmin
-    __global float* restrict logits,             // (2, n): of the next softmin
-    __global float* restrict levels,             // see prepare_softmin
-    __global real* restrict numbers)           // (groups, NUMBER_COUNT)
+void row_step(STEP_ARGUMENTS)
 {
     PROBLEM_SETUP;
     rows += PROBLEM(FIRST_ROW);
@@ -137,10 +146,7 @@ void row_step(
     for (uint i = FIRST; i < own_m; i += STEP)
         DSTORE(PLUS(DLOAD(i, COLUMN(G_AT)), SPREAD(shift)), i, COLUMN(COLUMN_SHIFTED));
     const real plan_mass = group_sum(sum_of_lanes(mass), shared);
-    const real dual = PLUS(
-        PLUS(TIMES(NEGATIVE(epsilon), plan_mass),
-             dual_part(ROW(ROW_WEIGHTS), ROW(ROW_F), own_n, inverse_rho_source, shared)),
-        dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_SHIFTED), own_m, inverse_rho_target, shared));
+    const real dual = DUAL(ROW_F, COLUMN_SHIFTED);
     if (get_local_id(0) == 0) {
         numbers[NUMBER_MASS] = plan_mass;
         numbers[NUMBER_ROW_DUAL] = dual;
@@ -160,22 +166,8 @@ void row_step(
 // each problem.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_step(
-    const __global uint* restrict problems, const uint only_control, const real only_radius,
-    const uint n, const uint m, const uint shares, const uint planes, const uint n_listed,
-    const real k, const real epsilon, const real inverse_rho_source,
-    const real inverse_rho_target,
-    const __global float* restrict maxima,       // (shares, m)
-    const __global float* restrict sums,         // (shares, m)
-    const __global real* restrict row_level,   // (m / TILE,): of this softmin
-    __global real* restrict rows,              // (slots, n)
-    __global real* restrict columns,           // (slots, m)
-    const __global real* restrict tile_costs,  // of pairs of tiles, rows first
-    __global real* restrict tile_max,          // (largest number of tiles,)
-    __global real* restrict next_level,        // (n / TILE,): of the next softmin
-    __global float* restrict logits,             // (2, m): of the next softmin
-    __global float* restrict levels,             // see prepare_softmin
-    __global real* restrict products,          // (problems, MEMORY, MEMORY)
-    __global real* restrict numbers)           // (groups, NUMBER_COUNT)
+    STEP_ARGUMENTS, const real only_radius,
+    __global real* restrict products)          // (problems, MEMORY, MEMORY)
 {
     PROBLEM_SETUP;
     rows += PROBLEM(FIRST_ROW);
@@ -221,10 +213,7 @@ void column_step(
         square = PLUS(square, remember(columns, m, control, i, image, own));
     }
     const real plan_mass = group_sum(sum_of_lanes(mass), shared);
-    const real dual = PLUS(
-        PLUS(TIMES(NEGATIVE(epsilon), plan_mass),
-             dual_part(ROW(ROW_WEIGHTS), ROW(ROW_SHIFTED), own_n, inverse_rho_source, shared)),
-        dual_part(COLUMN(COLUMN_WEIGHTS), COLUMN(COLUMN_IMAGE_0 + PARITY), own_m, inverse_rho_target, shared));
+    const real dual = DUAL(ROW_SHIFTED, COLUMN_IMAGE_0 + PARITY);
 
     const real longest = TIMES(RADIUS, ROOT(group_sum(sum_of_lanes(square), shared)));
     for (uint first = 0; first < COUNT; first += BLOCK) {

@@ -37,6 +37,19 @@
 #define ROW_GIVEN(slot) (given_rows + (size_t)(slot) * n)
 #define COLUMN_GIVEN(slot) (given_columns + (size_t)(slot) * m)
 
+// Arguments of every stage; partials, of two halves, are what groups leave to the next stage, numbers what the
+// host reads.
+#define STAGE_ARGUMENTS                                                                        \
+    const uint n, const uint m, const uint control, const real k, const real epsilon,          \
+    const real inverse_rho_source, const real inverse_rho_target,                              \
+    const real source_mass, const real target_mass,                                            \
+    const __global real* restrict given_rows,    /* (slots, n) */                              \
+    const __global real* restrict given_columns, /* (slots, m) */                              \
+    __global real* restrict rows,                /* (slots, n) */                              \
+    __global real* restrict columns,             /* (slots, m) */                              \
+    __global real* restrict partials,            /* (2, PARTIALS, groups) */                   \
+    __global real* restrict numbers
+
 // The entries of a work-item: each group has consecutive ones.
 #define ALL_GROUPS (get_num_groups(0) * STEP)
 #define OWN_ENTRIES(size) (((size) + ALL_GROUPS - 1) / ALL_GROUPS * STEP)
@@ -136,17 +149,19 @@ INLINE real dual_part(
     return IS_BELOW(REAL(0), inverse_rho) ? OVER(MINUS(side_mass, plan_mass), inverse_rho) : along;
 }
 
+// The dual of a plan of this mass, from <a, f> and <b, g>.
+#define DUAL(mass, along, other_along)                                                         \
+    dual_of(epsilon, mass, dual_part(source_mass, mass, along, inverse_rho_source),            \
+            dual_part(target_mass, mass, other_along, inverse_rho_target))
+
 // What sum_stored takes of a new g: the host's, which is kept, or one of the columns' vectors.
 //   changes_j = k (g_j - origin_j) - middle
 // Shapes: g, changes (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void prepare_changes(
-    const uint m, const uint control, const real k,
-    const __global real* restrict start,          // (m,): the host's g
-    const __global real* restrict given_columns,  // (slots, m)
-    __global real* restrict columns,              // (slots, m)
-    __global float* restrict changes,               // (m,)
-    __global real* restrict numbers)
+    STAGE_ARGUMENTS,
+    const __global real* restrict start,  // (m,): the host's g
+    __global float* restrict changes)     // (m,)
 {
     const real middle = numbers[NUMBER_COLUMN_NEXT];
     for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
@@ -166,16 +181,9 @@ void prepare_changes(
 // 4: no number if a softmin is not finite. Shapes: T(g) (n,), g (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void row_softmins(
-    const uint n, const uint m, const uint control, const real k, const real epsilon,
-    const real inverse_rho_source, const real inverse_rho_target,
-    const __global float* restrict maxima,          // (n,)
-    const __global float* restrict sums,            // (n,)
-    const __global real* restrict given_rows,     // (slots, n)
-    const __global real* restrict given_columns,  // (slots, m)
-    __global real* restrict rows,                 // (slots, n)
-    const __global real* restrict columns,        // (slots, m)
-    __global real* restrict partials,             // (2, PARTIALS, groups)
-    const __global real* restrict numbers)
+    STAGE_ARGUMENTS,
+    const __global float* restrict maxima,  // (n,)
+    const __global float* restrict sums)    // (n,)
 {
     __local real shared[GROUP];
     const uint groups = get_num_groups(0);
@@ -203,15 +211,8 @@ void row_softmins(
 // largest moves; 5, 6: <a, f> and <b, g>. Shapes: T(g), f, changes (n,), g (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void row_step(
-    const uint n, const uint m, const uint control, const real k, const real epsilon,
-    const real inverse_rho_source, const real inverse_rho_target, const real source_mass,
-    const __global real* restrict given_rows,     // (slots, n)
-    const __global real* restrict given_columns,  // (slots, m)
-    __global real* restrict rows,                 // (slots, n)
-    __global real* restrict columns,              // (slots, m)
-    __global float* restrict changes,               // (n,)
-    __global real* restrict partials,             // (2, PARTIALS, groups)
-    __global real* restrict numbers)
+    STAGE_ARGUMENTS,
+    __global float* restrict changes)  // (n,)
 {
     __local real shared[GROUP];
     const uint groups = get_num_groups(0);
@@ -266,17 +267,9 @@ void row_step(
 // not finite. Shapes: T(f) (m,), f, T(g) (n,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_softmins(
-    const uint n, const uint m, const real k, const real epsilon,
-    const real inverse_rho_source, const real inverse_rho_target, const real source_mass,
-    const real target_mass,
-    const __global float* restrict maxima,          // (m,)
-    const __global float* restrict sums,            // (m,)
-    const __global real* restrict given_rows,     // (slots, n)
-    const __global real* restrict given_columns,  // (slots, m)
-    const __global real* restrict rows,           // (slots, n)
-    __global real* restrict columns,              // (slots, m)
-    __global real* restrict partials,             // (2, PARTIALS, groups)
-    __global real* restrict numbers)
+    STAGE_ARGUMENTS,
+    const __global float* restrict maxima,  // (m,)
+    const __global float* restrict sums)    // (m,)
 {
     __local real shared[GROUP];
     const uint groups = get_num_groups(0);
@@ -310,9 +303,7 @@ void column_softmins(
     if (get_global_id(0) == 0) {
         const real mass = mass_of(numbers[NUMBER_LOG_MASS]);
         numbers[NUMBER_MASS] = mass;
-        numbers[NUMBER_ROW_DUAL] = PLUS(
-            PLUS(TIMES(NEGATIVE(epsilon), mass), dual_part(source_mass, mass, along, inverse_rho_source)),
-            dual_part(target_mass, mass, other_along, inverse_rho_target));
+        numbers[NUMBER_ROW_DUAL] = DUAL(mass, along, other_along);
         numbers[NUMBER_MOVED] = LARGER(MINUS(moved_up, mean), PLUS(moved_down, mean));
         numbers[NUMBER_ROW_NEXT] = TIMES(REAL(0.5f), MINUS(up, down));
     }
@@ -324,15 +315,7 @@ void column_softmins(
 // Leaves 0: the sum of the marginal pi; 1: that of W r^2; 2, 3: <a, f> and <b, g'>; from 4 on inner products of the
 // differences with the new one, and after these with r. Shapes: T(f), g', pi (m,), f (n,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void column_step(
-    const uint n, const uint m, const uint control, const real epsilon,
-    const real inverse_rho_source, const real inverse_rho_target, const real target_mass,
-    const __global real* restrict given_rows,     // (slots, n)
-    const __global real* restrict given_columns,  // (slots, m)
-    __global real* restrict rows,                 // (slots, n)
-    __global real* restrict columns,              // (slots, m)
-    __global real* restrict partials,             // (2, PARTIALS, groups)
-    __global real* restrict numbers)
+void column_step(STAGE_ARGUMENTS)
 {
     __local real shared[GROUP];
     const uint groups = get_num_groups(0);
@@ -386,13 +369,9 @@ void column_step(
 // all work-groups, each of which solves the same small system.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void extrapolate(
-    const uint m, const uint control, const real epsilon, const real inverse_rho_source,
-    const real inverse_rho_target, const real source_mass, const real target_mass,
-    __global real* restrict columns,              // (slots, m)
-    __global real* restrict partials,             // (2, PARTIALS, groups)
-    const __global real* restrict products,       // (MEMORY, MEMORY)
-    __global real* restrict newest,               // (MEMORY,): inner products of the new difference
-    __global real* restrict numbers)
+    STAGE_ARGUMENTS,
+    const __global real* restrict products,  // (MEMORY, MEMORY)
+    __global real* restrict newest)          // (MEMORY,): inner products of the new difference
 {
     __local real shared[GROUP];
     SHARED real system[MEMORY * SYSTEM_ROW];
@@ -421,9 +400,7 @@ void extrapolate(
     leave(sum_of_lanes(drift), false, LEFT(0, 1), shared);
     if (get_global_id(0) == 0) {
         const real mass = numbers[NUMBER_PLAN_MASS];
-        numbers[NUMBER_COLUMN_DUAL] = PLUS(
-            PLUS(TIMES(NEGATIVE(epsilon), mass), dual_part(source_mass, mass, along, inverse_rho_source)),
-            dual_part(target_mass, mass, other_along, inverse_rho_target));
+        numbers[NUMBER_COLUMN_DUAL] = DUAL(mass, along, other_along);
         numbers[NUMBER_FOUND] = REAL(found);
         numbers[NUMBER_RESIDUAL_NORM] = ROOT(square);
         numbers[NUMBER_MARGINALS] = marginals;
@@ -438,13 +415,9 @@ void extrapolate(
 // Leaves 0, 1: the largest changes of either sign. Shapes: g, changes (m,). Launch: all work-groups.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void next_potential(
-    const uint m, const uint control, const real k, const real inverse_rho_source,
-    const real inverse_rho_target, const real radius,
-    const __global real* restrict given_columns,  // (slots, m)
-    __global real* restrict columns,              // (slots, m)
-    __global float* restrict changes,               // (m,)
-    __global real* restrict partials,             // (2, PARTIALS, groups)
-    __global real* restrict numbers)
+    STAGE_ARGUMENTS,
+    const real radius,
+    __global float* restrict changes)  // (m,)
 {
     __local real shared[GROUP];
     const uint groups = get_num_groups(0);
@@ -480,11 +453,10 @@ void next_potential(
 // Shapes: partials (2, PARTIALS, groups), products (MEMORY, MEMORY). Launch: one work-group.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void end_iteration(
-    const uint control, const uint groups,
-    const __global real* restrict partials,       // (2, PARTIALS, groups)
-    const __global real* restrict newest,         // (MEMORY,)
-    __global real* restrict products,             // (MEMORY, MEMORY)
-    __global real* restrict numbers)
+    STAGE_ARGUMENTS,
+    const uint groups,
+    const __global real* restrict newest,  // (MEMORY,)
+    __global real* restrict products)      // (MEMORY, MEMORY)
 {
     __local real shared[GROUP];
     const real up = joined(LEFT(1, 0), groups, true, shared);

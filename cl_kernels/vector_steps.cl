@@ -155,6 +155,12 @@ INLINE reals marginal(
     return BELOW(REALS(0), weights, mass, REALS(0));
 }
 
+// The dual without its constant, from the parts of both sides.
+INLINE real dual_of(const real epsilon, const real plan_mass, const real of_rows, const real of_columns)
+{
+    return PLUS(PLUS(TIMES(NEGATIVE(epsilon), plan_mass), of_rows), of_columns);
+}
+
 // How far a potential is from its half-step, where the side has mass.
 INLINE reals distance_of(const reals weights, const reals potential, const reals half_step)
 {

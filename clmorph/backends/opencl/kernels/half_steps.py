@@ -40,22 +40,25 @@ MOST_PAIRS, MOST_PAIRS_ELSEWHERE = 1 << 25, 1 << 22
 MOST_OF_MANY = 1 << 27
 #: Names of the arguments of kernels, in their order. "rows" and "columns" are softmins.
 _RATES = ("epsilon", "inverse_rho_source", "inverse_rho_target")
-_SIDES, _LOGITS = ("rows", "columns"), ("logits", "levels")
+_LOGITS = "logits", "levels"
+
+
+def _step(own: str, other: str) -> tuple[str, ...]:
+    """Return the arguments of both steps, after the softmin of one side and for the other's."""
+    return (
+        "problems", "control", "n", "m", f"{own}_shares", "planes", "n_listed", "k", *_RATES,
+        "maxima", "sums", f"{own}_level", "rows", "columns", f"{other}_costs", "tile_max",
+        f"{other}_level", *_LOGITS, "numbers",
+    )  # fmt: skip
+
+
 ARGUMENTS = {
     "prepare_rows": (
         "problems", "control", "n", "m", "planes", "n_listed", "k", "start", "columns",
         "row_costs", "tile_max", "row_level", *_LOGITS,
     ),
-    "row_step": (
-        "problems", "control", "n", "m", "row_shares", "planes", "n_listed", "k", *_RATES, "maxima",
-        "sums", "row_level", *_SIDES, "column_costs", "tile_max", "column_level", *_LOGITS,
-        "numbers",
-    ),
-    "column_step": (
-        "problems", "control", "radius", "n", "m", "column_shares", "planes", "n_listed", "k",
-        *_RATES, "maxima", "sums", "column_level", *_SIDES, "row_costs", "tile_max", "row_level",
-        *_LOGITS, "products", "numbers",
-    ),
+    "row_step": _step("row", "column"),
+    "column_step": (*_step("column", "row"), "radius", "products"),
 }  # fmt: skip
 
 

@@ -41,32 +41,22 @@ STAGES = (
 )  # fmt: skip
 PREPARATION, END = "prepare_changes", "end_iteration"
 #: Names of the arguments of kernels, in their order.
-_SIZES, _RATES = ("n", "m"), ("epsilon", "inverse_rho_source", "inverse_rho_target")
-_MASSES, _GIVEN = ("source_mass", "target_mass"), ("given_rows", "given_columns")
-_VECTORS, _FOUND = ("rows", "columns"), ("partials", "numbers")
-ARGUMENTS = {
-    PREPARATION: (
-        "m", "control", "k", "start", "given_columns", "columns", "column_changes", "numbers",
-    ),
-    "row_softmins": (
-        *_SIZES, "control", "k", *_RATES, "maxima", "sums", *_GIVEN, *_VECTORS, *_FOUND,
-    ),
-    "row_step": (
-        *_SIZES, "control", "k", *_RATES, "source_mass", *_GIVEN, *_VECTORS, "row_changes", *_FOUND,
-    ),
-    "column_softmins": (
-        *_SIZES, "k", *_RATES, *_MASSES, "maxima", "sums", *_GIVEN, *_VECTORS, *_FOUND,
-    ),
-    "column_step": (*_SIZES, "control", *_RATES, "target_mass", *_GIVEN, *_VECTORS, *_FOUND),
-    "extrapolate": (
-        "m", "control", *_RATES, *_MASSES, "columns", "partials", "products", "newest", "numbers",
-    ),
-    "next_potential": (
-        "m", "control", "k", *_RATES[1:], "radius", "given_columns", "columns", "column_changes",
-        *_FOUND,
-    ),
-    END: ("control", "groups", "partials", "newest", "products", "numbers"),
-}  # fmt: skip
+_RATES, _MASSES = ("inverse_rho_source", "inverse_rho_target"), ("source_mass", "target_mass")
+_STAGE = (
+    "n", "m", "control", "k", "epsilon", *_RATES, *_MASSES, "given_rows", "given_columns",
+    "rows", "columns", "partials", "numbers",
+)  # fmt: skip
+_OWN = {
+    PREPARATION: ("start", "column_changes"),
+    "row_softmins": ("maxima", "sums"),
+    "row_step": ("row_changes",),
+    "column_softmins": ("maxima", "sums"),
+    "column_step": (),
+    "extrapolate": ("products", "newest"),
+    "next_potential": ("radius", "column_changes"),
+    END: ("groups", "newest", "products"),
+}
+ARGUMENTS = {name: (*_STAGE, *own) for name, own in _OWN.items()}
 #: The share of the limits of memory that buffers may take: a pool rounds sizes up.
 MOST_MEMORY = 7 / 8
 
@@ -132,7 +122,7 @@ class StoredSteps(ResidentSteps):
         arguments = {
             **buffers,
             **{name: np.uint32(size) for name, size in sizes.items()},
-            **dict(zip((*_RATES[1:], *_MASSES), map(self._real, given), strict=True)),
+            **dict(zip((*_RATES, *_MASSES), map(self._real, given), strict=True)),
         }  # fmt: skip
         return StoredIteration(
             self, sides, arguments, np.zeros(len(NUMBERS)), units,
