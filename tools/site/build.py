@@ -25,7 +25,8 @@ ROOT = HERE.parents[1]
 GROUPS = ("films", "understanding", "transport", "peers", "devices", "lesson")
 #: What a share of the examples is: quick ones of each group, without libraries that are large.
 SHARE = ("films/sprites", "films/photographs", "understanding/plan_rows", "transport/unbalanced",
-         "transport/gradient", "transport/batch", "devices/cross_check", "peers/pot")  # fmt: skip
+         "transport/gradient", "transport/batch", "transport/volume", "transport/field",
+         "transport/cells", "devices/cross_check", "peers/pot")  # fmt: skip
 #: Pages of the repository that are pages of the site.
 PAGES = ("README.md", "CHANGELOG.md", ".github/*.md", "clmorph/**/README.md", "tools/README.md",
          "tests/README.md")  # fmt: skip
