@@ -7,11 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.boxes import boxes_of_runs
 from clmorph._shared.typing import Array
 from clmorph.measures.points import AnyMeasure, WeightedPoints
 
 #: Bound of the integer keys into which the coordinates of cubes are packed.
 _LARGEST_KEY = 1 << 62
+#: Up to this many possible cubes for each point, a table of them is formed.
+_TABLE_SHARE = 8
 
 
 class Clusters(NamedTuple):
@@ -35,24 +38,39 @@ def make_clusters(measure: AnyMeasure, side: float) -> Clusters:
     Every cluster has a small diameter, and sparse points each keep their own cluster. The leaves of
     a tree with equal numbers of points do not have this property.
     """
-    points = measure.points
-    corner = np.floor((points - points.min(axis=0)) / side).astype(np.int64)
+    return join_points(measure, *label_cubes(measure.points, side))
+
+
+def label_cubes(points: Array, side: float) -> tuple[NDArray[np.intp], int]:
+    """Return the index of the cube of each point, among the cubes with points, and their number."""
+    corner = np.floor((points - boxes_of_runs(points)[0]) / side).astype(np.int64)
     labels, size = np.zeros(len(points), np.int64), 1
     for column in corner.T:
         extent = int(column.max()) + 1
         if size * extent > _LARGEST_KEY:
-            labels = np.unique(labels, return_inverse=True)[1]
-            size = int(labels.max()) + 1
+            labels, size = _consecutive(labels, size)
         labels, size = labels * extent + column, size * extent
-    kept, labels = np.unique(labels, return_inverse=True)
-    count = len(kept)
-    offsets = np.zeros(len(points)) if measure.offsets is None else measure.offsets
-    means = _means(labels, count, np.column_stack((points, offsets)), measure.weights)
+    return _consecutive(labels, size)
+
+
+def join_points(measure: AnyMeasure, labels: NDArray[np.intp], count: int) -> Clusters:
+    """Return the points of a measure joined into clusters by their labels below `count`."""
+    offsets = np.zeros(len(labels)) if measure.offsets is None else measure.offsets
+    means = _means(labels, count, np.column_stack((measure.points, offsets)), measure.weights)
     masses = np.bincount(labels, measure.weights, count).astype(float)
     whole = WeightedPoints(
         means[:, :-1], masses, None if measure.offsets is None else means[:, -1].copy()
     )
     return Clusters(whole, labels)
+
+
+def _consecutive(labels: NDArray[np.int64], size: int) -> tuple[NDArray[np.intp], int]:
+    """Return labels below `size` as consecutive ones in the same order, and their number."""
+    if size <= _TABLE_SHARE * len(labels):  # a table takes less time than a sort
+        present = np.bincount(labels, minlength=size) > 0
+        return (np.cumsum(present) - 1)[labels], int(present.sum())
+    kept, labels = np.unique(labels, return_inverse=True)
+    return labels, len(kept)
 
 
 def _means(labels: NDArray[np.intp], count: int, values: Array, weights: Array) -> Array:

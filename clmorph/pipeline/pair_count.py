@@ -10,7 +10,8 @@ from clmorph._shared.validation import check_integer
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
-from clmorph.transport._solver.plan_softmin import clouds_of, uploaded
+from clmorph.transport._solver.plan_softmin import clouds_of
+from clmorph.transport._solver.problem import uploaded
 from clmorph.transport.options import PlanOptions, PruningOptions
 from clmorph.transport.potentials import Potentials
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
+from clmorph.transport._solver.problem import upload_both
 from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin
 from clmorph.transport.pair_costs import Costs, Indices
 
@@ -38,9 +39,7 @@ class PlanSearch:
         self._costs, self._epsilon, self._operations = costs, epsilon, operations
         self._rng = np.random.default_rng(seed)
         self._measures = costs.measures()
-        self._clouds = [
-            operations.upload(each.points, each.weights, each.offsets) for each in self._measures
-        ]
+        self._clouds = upload_both(operations, *self._measures)
 
     def _softmin(self, side: int) -> Softmin:
         order = (side, 1 - side)

@@ -96,7 +96,6 @@ class OpenCLOperations:
     def _bind(self) -> None:
         """Create the parts, and make their methods the operations of this object."""
         loop = self.row_loop = RowLoop(self.work, self.constants, self.programs)
-        clouds = CloudStore(self.work, self.constants)
         log_sum_exp = LogSumExp(loop)
         near_field = NearField(loop, log_sum_exp)
         batches = BatchLogSumExp(loop, log_sum_exp)
@@ -112,7 +111,7 @@ class OpenCLOperations:
         grids = GridLogSumExp(self.work, self.constants, self.programs)
 
         take_turns = self._take_turns
-        self.upload = take_turns(clouds.upload)
+        self.upload = CloudStore(self.work, self.constants, take_turns).upload
         self.softmin = take_turns(log_sum_exp.softmin)
         self.bounded_softmin = take_turns(log_sum_exp.bounded_softmin)
         self.row_maxima = take_turns(log_sum_exp.row_maxima)

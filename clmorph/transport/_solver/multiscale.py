@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph.measures.cluster import Clusters, make_clusters
+from clmorph.measures.cluster import Clusters, join_points, label_cubes
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.annealing import anneal, ignore, prepare
 from clmorph.transport._solver.coarse_grid import (
@@ -165,9 +165,10 @@ class Multiscale(Outcome):
         bounds = *ENOUGH[:-1], next(many, ENOUGH[-1])
         pairs = sizes[0] * sizes[1]
         for side, enough in zip(SIDES, bounds, strict=True):
-            clusters = [make_clusters(measure, side * self._blur) for measure in self._pair]
-            if len(clusters[0].measure) * len(clusters[1].measure) <= enough * pairs:
-                return clusters
+            cubes = [label_cubes(measure.points, side * self._blur) for measure in self._pair]
+            if cubes[0][1] * cubes[1][1] <= enough * pairs:
+                own = zip(self._pair, cubes, strict=True)
+                return [join_points(measure, *each) for measure, each in own]
         return None
 
     def _fineness(self, clusters: list[Clusters]) -> Fineness:

@@ -11,7 +11,7 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.grid import Grid, are_grids
 from clmorph.measures.points import AnyMeasure, corners_of
 from clmorph.transport._solver.grid_softmin import GridSoftmin
-from clmorph.transport._solver.problem import largest_cost
+from clmorph.transport._solver.problem import largest_cost, upload_both
 from clmorph.transport._solver.softmin import Softmin, check_finite
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
 
@@ -76,7 +76,7 @@ def clouds_of(
     passes = _passes(operations, pair, potentials)
     if passes is not None:
         return passes.clouds
-    return uploaded(operations, pair[0]), uploaded(operations, pair[1])
+    return upload_both(operations, *pair)
 
 
 def row_softmin(
@@ -99,12 +99,7 @@ def uploaded_pair(operations: Operations, pair: tuple[AnyMeasure, AnyMeasure]) -
     """Return both measures as clouds, for `row_projection`, which needs none of grids."""
     if are_grids(*pair):
         return None, None
-    return uploaded(operations, pair[0]), uploaded(operations, pair[1])
-
-
-def uploaded(operations: Operations, measure: AnyMeasure) -> Any:
-    """Return a measure as a cloud in the backend's memory."""
-    return operations.upload(measure.points, measure.weights, measure.offsets)
+    return upload_both(operations, *pair)
 
 
 class Sent(NamedTuple):

@@ -1,9 +1,12 @@
 """One transport problem: its half-steps, residual and dual (paper, 2.1 and 3.1)."""
 
+import functools
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from clmorph._shared.boxes import boxes_of_runs
+from clmorph._shared.threads import in_order
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.records import ResidentIteration
@@ -16,6 +19,8 @@ from clmorph.transport.certificate import STEPS_ERROR, Certificate, Side, certif
 
 #: The relative rounding that is assumed for a mass, which is a sum of exponentials.
 MASS_ROUNDING = 1e-14
+#: Two measures with at least this many points are sorted and uploaded in threads.
+MANY_POINTS = 1 << 13
 
 
 class HalfStep(NamedTuple):
@@ -81,12 +86,7 @@ class Problem:
         """Return the problem of two measures; they are uploaded unless the backend has `clouds`."""
         if are_grids(source, target):
             return cls._between_grids(operations, source, target, rho)
-        if clouds is None:
-            rows = columns = operations.upload(source.points, source.weights, source.offsets)
-            if target is not source:
-                columns = operations.upload(target.points, target.weights, target.offsets)
-        else:
-            rows, columns = clouds
+        rows, columns = clouds or upload_both(operations, source, target)
         a, b = source.weights, target.weights
         largest = largest_cost(corners_of(source), corners_of(target))
         one, other = (
@@ -294,10 +294,26 @@ class Problem:
         return rows, columns
 
 
+def uploaded(operations: Operations, measure: AnyMeasure) -> Any:
+    """Return a measure as a cloud in the backend's memory."""
+    return operations.upload(measure.points, measure.weights, measure.offsets)
+
+
+def upload_both(operations: Operations, source: AnyMeasure, target: AnyMeasure) -> tuple[Any, Any]:
+    """Return two measures as clouds in the backend's memory: one cloud if they are the same."""
+    upload = functools.partial(uploaded, operations)
+    sides = [source] if target is source else [source, target]
+    if len(source) + len(target) < MANY_POINTS:
+        clouds = list(map(upload, sides))
+    else:
+        clouds = [cloud for _, cloud in in_order(upload, sides)]
+    return clouds[0], clouds[-1]
+
+
 def largest_cost(x: Array, y: Array) -> float:
     """Return a bound of the cost |X - Y|^2 / 2, from the joint bounding box (paper, Eq. 1)."""
-    low = np.minimum(x.min(axis=0), y.min(axis=0))
-    high = np.maximum(x.max(axis=0), y.max(axis=0))
+    corners = np.concatenate([boxes_of_runs(each)[:, 0] for each in (x, y)])
+    low, high = boxes_of_runs(corners)[:, 0]
     return float(cost_across(low, high))
 
 

@@ -29,7 +29,8 @@ import numpy as np
 from clmorph._shared.typing import Progress
 from clmorph.backends.interface import Operations
 from clmorph.measures.points import AnyMeasure, WeightedPoints
-from clmorph.transport._solver.plan_softmin import sent, uploaded
+from clmorph.transport._solver.plan_softmin import sent
+from clmorph.transport._solver.problem import uploaded
 from clmorph.transport.barycenters.result import Barycenter, check_mass
 from clmorph.transport.divergence import self_transport_of
 from clmorph.transport.potentials import Potentials

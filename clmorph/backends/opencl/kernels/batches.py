@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.boxes import boxes_of_runs
 from clmorph.backends.opencl.build.constants import SENTINEL
-from clmorph.backends.opencl.kernels.clouds import Cloud, split
+from clmorph.backends.opencl.kernels.clouds import Cloud, centered_tiles, split
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.rounding_bounds import (
@@ -88,9 +89,7 @@ class BatchLogSumExp:
         size = self._loop.constants.tile
         points, counts = np.asarray(points, float), np.asarray(counts, np.int64)
         starts = np.cumsum(counts) - counts
-        boxes = np.stack(
-            (np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts)), axis=1
-        )
+        boxes = np.swapaxes(boxes_of_runs(points, starts), 0, 1)
         tiles = -(-counts // size)
         # Places in the sorted list, with the last place of a problem repeated up to a whole tile.
         within = runs(np.zeros_like(tiles), tiles * size)
@@ -101,11 +100,8 @@ class BatchLogSumExp:
         with np.errstate(divide="ignore"):
             log2_weights = np.log2(np.asarray(weights, float)[order])
         log2_weights = np.where(within > last, SENTINEL, np.maximum(log2_weights, SENTINEL))
-        tiled = points[order].reshape(-1, size, points.shape[1])
-        centers = 0.5 * (tiled.min(axis=1) + tiled.max(axis=1))
-        # Centers are rounded first, so that the device's copy is exact, as in `make_cloud`.
-        centers = centers.astype(np.float32).astype(float)
-        shifts = (tiled - centers[:, None]).reshape(-1, points.shape[1])
+        centers, tiled = centered_tiles(points[order], size)
+        shifts = tiled.reshape(-1, points.shape[1])
         added = np.zeros(len(order)) if offsets is None else np.asarray(offsets, float)[order]
         own_costs = 0.5 * np.sum(shifts**2, axis=1) + added
         return _batch(

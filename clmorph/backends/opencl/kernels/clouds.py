@@ -1,5 +1,6 @@
 """Clouds on the device, sorted into tiles, with coordinates split into pairs of float32."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clmorph._shared.boxes import boxes_of_runs
 from clmorph.backends.interface import MAX_POINTS
 from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
 from clmorph.backends.opencl.kernels.launches import Workspace
@@ -38,7 +40,9 @@ class Tiles:
     @cached_property
     def half_sides(self) -> NDArray[np.float32]:
         """Half sides of the tiles' boxes, rounded up: (tiles, D) array."""
-        return np.abs(self.shifts).max(axis=1) * np.float32(1 + 1e-6)
+        _, tile, dimension = self.shifts.shape
+        sizes = np.abs(self.shifts).reshape(-1, dimension)
+        return boxes_of_runs(sizes, np.arange(0, len(sizes), tile))[1] * np.float32(1 + 1e-6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,48 +83,48 @@ class Cloud(Tiles):
         missing = -tiles % WIDTH_OF_GROUPS
         listed = (self.centers[:, None] + self.shifts).reshape(-1, dimension)
         listed = np.pad(listed, ((0, missing * tile), (0, 0)), mode="edge")
-        points = listed.reshape(-1, WIDTH_OF_GROUPS * tile, dimension)
-        centers = 0.5 * (points.min(axis=1) + points.max(axis=1))
-        centers = centers.astype(np.float32).astype(float)
-        return Tiles(centers, (points - centers[:, None]).astype(np.float32))
+        centers, shifts = centered_tiles(listed, WIDTH_OF_GROUPS * tile)
+        return Tiles(centers, shifts.astype(np.float32))
 
 
 class CloudStore:
     """Uploads clouds to the device."""
 
-    def __init__(self, work: Workspace, constants: BuildConstants) -> None:
+    def __init__(
+        self, work: Workspace, constants: BuildConstants, take_turns: Callable[[Any], Any]
+    ) -> None:
         self._work, self._tile, self._part = work, constants.tile, constants.group_rows
+        self._upload = take_turns(upload)
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
-        """Upload a weighted cloud."""
-        return make_cloud(self._work, self._tile, self._part, points, weights, offsets)
+        """Sort a weighted cloud into tiles, which needs no device and no turn, and upload it."""
+        points = np.asarray(points, float)
+        if len(points) > MAX_POINTS:
+            raise DeviceError(
+                f"{len(points)} points are too many: expected at most 2^24; reduce the image"
+            )
+        order = tile_order(points, self._tile, part=self._part)
+        return self._upload(self._work, self._tile, order, points, weights, offsets)
 
 
-def make_cloud(
+def upload(
     work: Workspace,
     tile: int,
-    part: int,
+    order: NDArray[np.intp],
     points: Float64,
     weights: Float64,
     offsets: Float64 | None = None,
 ) -> Cloud:
-    """Sort a weighted cloud, (N, D) points and (N,) weights, into tiles and upload it.
+    """Upload a weighted cloud, (N, D) points and (N,) weights, in the `order` of its tiles.
 
-    `tile` and `part` are points of one tile, and of its parts, which are made compact, too.
-    `offsets`, (N,), are terms added to the cost of each point.
+    `tile` is the number of points of one tile. `offsets`, (N,), are terms added to the cost of each
+    point.
     """
-    points = np.asarray(points, float)
     n, dimension = points.shape
-    if n > MAX_POINTS:
-        raise DeviceError(f"{n} points are too many: expected at most 2^24; reduce the image")
-    order = tile_order(points, tile, part=part)
     n_tiles = -(-n // tile)
     padded = np.pad(points[order], ((0, n_tiles * tile - n), (0, 0)), mode="edge")
-    tiles = padded.reshape(n_tiles, tile, dimension)
-    centers = 0.5 * (tiles.min(axis=1) + tiles.max(axis=1))
-    # Centers are rounded first, so that the device's copy is exact and offsets absorb the rounding.
-    centers = centers.astype(np.float32).astype(float)
-    shifts = (tiles - centers[:, None]).reshape(-1, dimension)
+    centers, tiles = centered_tiles(padded, tile)
+    shifts = tiles.reshape(-1, dimension)
     added = np.zeros(n) if offsets is None else np.asarray(offsets, float)[order]
     with np.errstate(divide="ignore"):
         log2_weights = np.log2(np.asarray(weights, float)[order])
@@ -131,11 +135,21 @@ def make_cloud(
         offsets=added,
         own_costs=0.5 * np.sum(shifts[:n] ** 2, axis=1) + added,
         stride=n_tiles * tile,
-        shifts=shifts.astype(np.float32).reshape(n_tiles, tile, dimension),
+        shifts=tiles.astype(np.float32),
         shifts_buffer=work.buffer(split(shifts.T)),
         centers_buffer=work.buffer(centers),
-        box=np.stack((points.min(axis=0), points.max(axis=0))),
+        box=boxes_of_runs(points)[:, 0],
     )
+
+
+def centered_tiles(points: Float64, tile: int) -> tuple[Float64, Float64]:
+    """Return the centers of whole tiles, (tiles, D), and points less them, (tiles, tile, D).
+
+    Centers are rounded first, so that the device's copy is exact and offsets absorb the rounding.
+    """
+    low, high = boxes_of_runs(points, np.arange(0, len(points), tile))
+    centers = (0.5 * (low + high)).astype(np.float32).astype(float)
+    return centers, points.reshape(len(centers), tile, -1) - centers[:, None]
 
 
 def split(values: Float64) -> NDArray[np.float32]:

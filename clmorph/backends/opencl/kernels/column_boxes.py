@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pyopencl as cl
 
+from clmorph._shared.boxes import boxes_of_runs
 from clmorph.backends.opencl.build.constants import SENTINEL, SLICED_FROM
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
@@ -43,9 +44,11 @@ def column_boxes(
     slopes = columns.fits.slopes(np.where(present, logits / k, 0.0), present)
     rest = logits - tile_max[:, None] - k * np.einsum("ntd,nd->nt", shifts, slopes)
     rest = np.where(present, rest, SENTINEL).reshape(tiles, constants.width, -1).max(axis=2)
-    points = shifts.reshape(tiles, constants.width, -1, dimension)
-    lows, highs = (ends.reshape(-1, dimension).T for ends in (points.min(2), points.max(2)))
+    points = shifts.reshape(-1, dimension)
+    lows, highs = boxes_of_runs(
+        points, np.arange(0, len(points), constants.tile // constants.width)
+    )
     return ColumnBoxes(
-        work.buffer(lows), work.buffer(highs), work.buffer(rest), work.buffer(slopes),
+        work.buffer(lows.T), work.buffer(highs.T), work.buffer(rest), work.buffer(slopes),
         work.buffer(columns.half_sides),
     )  # fmt: skip
