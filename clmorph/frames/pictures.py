@@ -89,13 +89,23 @@ class Channels:
         channels = (image[..., [c]] for image in self._images for c in range(image.shape[2]))
         for number, channel in enumerate(channels):
             plane = reduced(channel, small.shape)[..., 0]
-            wider = np.pad(plane, margin, mode="edge")
-            if number == 3 and self._signed:
-                # A figure goes on at most as it does at the border.
-                falling = np.pad(plane, margin, mode="reflect", reflect_type="odd")
-                wider = np.minimum(wider, falling)
+            falling = number == 3 and self._signed
+            wider = _fallen(plane, margin) if falling else np.pad(plane, margin, mode="edge")
             spline[..., number] = spline_filter(wider, order=3, mode="mirror", output=np.float32)
         return self._operations.upload_spline(spline), Canvas((height, width), small.scale)
+
+
+def _fallen(distance: Float32, margin: int) -> Float32:
+    """Continue a signed distance by a margin: it stays the same, or falls as at the border."""
+    away = np.arange(1, margin + 1, dtype=np.float32)[:, None]
+    for _ in range(2):
+        inner = min(1, len(distance) - 1)
+        above, below = (
+            distance[last] - away * np.maximum(distance[next_to_it] - distance[last], 0)
+            for last, next_to_it in ((0, inner), (-1, -1 - inner))
+        )
+        distance = np.concatenate((above[::-1], distance, below)).T
+    return distance
 
 
 def stage_of(canvases: Sequence[Canvas]) -> Canvas:

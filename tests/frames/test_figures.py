@@ -200,6 +200,15 @@ class TestLogos:
             dark = morph.frame(t)[:, 24, 0] < 0.5
             assert abs(dark.argmax() - 24 * t) < 3
 
+    def test_thin_figures_at_a_border_go_on_nowhere(self, device):
+        """A frame along the border, and ground within: beyond the border there is no second one."""
+        first, last = np.ones((48, 48, 3)), np.ones((48, 48, 3))
+        first[:4, 10:38] = first[:24, 10:14] = first[:24, 34:38] = 0.0
+        last[24:44, 10:38] = 0.0
+        morph = clmorph.morph(first, last, backend=device, preset="logo", **SMALL)
+        for t in (0.25, 0.5, 0.75):
+            assert morph.frame(t)[:3].min() > 0.75  # 0 if it went on
+
     def test_figures_that_reach_the_same_border_stay_there(self, device):
         """Two figures that their pictures cut, as portraits: no gap opens below them."""
         first, last = np.ones((48, 48, 3)), np.ones((48, 48, 3))
