@@ -135,8 +135,6 @@ def _power_near(size: float) -> float:
     return 2.0 ** round(math.log2(size)) if size > 0 else 1.0
 
 
-#: The vectors of the columns that the caller gets.
-COLUMN_RESULTS = "IMAGE_0", "IMAGE_1", "SOFTMIN"
 #: A kernel's name, and its global and local size.
 Launch = tuple[str, tuple[int, ...], tuple[int, ...] | None]
 
@@ -296,12 +294,13 @@ class ResidentSteps(ABC):
         """Return f, both images of g, (2, M), and T(f) after the last iteration."""
         slots, (rows, columns), found, events = self.slots, iteration.sides, [], []
         places = (
-            (rows, "rows", slots.rows.index("SHIFTED")),
-            *((columns, "columns", slots.columns.index(name)) for name in COLUMN_RESULTS),
+            (rows, "rows", slots.rows.index("SHIFTED"), 1),
+            (columns, "columns", slots.columns.index("IMAGE_0"), 2),
+            (columns, "columns", slots.columns.index("SOFTMIN"), 1),
         )
         try:
-            for side, name, slot in places:
-                found.append(np.empty(len(side)))
+            for side, name, slot, count in places:
+                found.append(np.empty((count, side.stride)))
                 events.append(
                     cl.enqueue_copy(
                         self._work.queue, found[-1], iteration.arguments[name],
@@ -312,7 +311,8 @@ class ResidentSteps(ABC):
             if events:
                 cl.wait_for_events(events)
         f, *images, t_columns = (
-            self._in_order(side, self._read(iteration, values))
+            self._in_order(side, each[: len(side)])
             for (side, *_), values in zip(places, found, strict=True)
+            for each in self._read(iteration, values)
         )
         return f, np.array(images), t_columns
