@@ -89,23 +89,33 @@ class Channels:
         channels = (image[..., [c]] for image in self._images for c in range(image.shape[2]))
         for number, channel in enumerate(channels):
             plane = reduced(channel, small.shape)[..., 0]
-            falling = number == 3 and self._signed
-            wider = _fallen(plane, margin) if falling else np.pad(plane, margin, mode="edge")
+            if number == 3 and self._signed:
+                wider = _continued(plane, margin, 1 / max(*small.scale, 1e-9))
+            else:
+                wider = np.pad(plane, margin, mode="edge")
             spline[..., number] = spline_filter(wider, order=3, mode="mirror", output=np.float32)
         return self._operations.upload_spline(spline), Canvas((height, width), small.scale)
 
 
-def _fallen(distance: Float32, margin: int) -> Float32:
-    """Continue a signed distance by a margin: it stays the same, or falls as at the border."""
-    away = np.arange(1, margin + 1, dtype=np.float32)[:, None]
-    for _ in range(2):
-        inner = min(1, len(distance) - 1)
-        above, below = (
-            distance[last] - away * np.maximum(distance[next_to_it] - distance[last], 0)
-            for last, next_to_it in ((0, inner), (-1, -1 - inner))
-        )
-        distance = np.concatenate((above[::-1], distance, below)).T
-    return distance
+def _continued(distance: Float32, margin: int, pixel: float) -> Float32:
+    """Continue a signed distance from an outline by a margin.
+
+    `pixel` is the distance between two pixels. Figures that end within one of the border end there;
+    others go on as they are at the border.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    goes_on = np.pad(distance > 0.75 * pixel, margin, mode="edge")
+    inside = np.pad(distance > 0, margin) | goes_on
+    if inside.all() or not inside.any():
+        return np.pad(distance, margin, mode="edge")
+    wider = np.where(inside, np.float32(-0.5), np.float32(0.5))
+    wider += distance_transform_edt(inside)
+    wider -= distance_transform_edt(~inside)
+    wider *= np.float32(pixel)
+    height, width = distance.shape
+    wider[margin : margin + height, margin : margin + width] = distance
+    return wider
 
 
 def stage_of(canvases: Sequence[Canvas]) -> Canvas:
