@@ -186,11 +186,12 @@ def masses(rng: np.random.Generator, device: str) -> Errors:
             slope -= (rho + epsilon) * (1 - left)
         return value, slope * a
 
-    best = minimize(aim, log_u, jac=True, method="L-BFGS-B",
+    # Steps of a search farther away would overflow.
+    best = minimize(aim, log_u, jac=True, method="L-BFGS-B", bounds=log_u[:, None] + (-30, 8),
                     options={"maxiter": 300, "ftol": 1e-15, "gtol": 1e-10})  # fmt: skip
     found = clmorph.barycenter(
         list(zip(weights, points, strict=True)), shares, x, epsilon=epsilon, rho=rho, fixed=True,
-        debias=debias, tol=1e-6, max_iter=5000, backend=device,
+        debias=debias, tol=1e-6, max_iter=20_000, backend=device,
     )  # fmt: skip
     own, mass = aim(np.log(found.weights))[0], np.exp(best.x).sum()
     return {
