@@ -186,13 +186,19 @@ def masses(rng: np.random.Generator, device: str) -> Errors:
             slope -= (rho + epsilon) * (1 - left)
         return value, slope * a
 
-    # Steps of a search farther away would overflow.
-    best = minimize(aim, log_u, jac=True, method="L-BFGS-B", bounds=log_u[:, None] + (-30, 8),
-                    options={"maxiter": 300, "ftol": 1e-15, "gtol": 1e-10})  # fmt: skip
     found = clmorph.barycenter(
         list(zip(weights, points, strict=True)), shares, x, epsilon=epsilon, rho=rho, fixed=True,
         debias=debias, tol=1e-6, max_iter=20_000, backend=device,
     )  # fmt: skip
+    # From even masses a search may stop at a point with almost no mass, which could grow again.
+    starts = log_u, np.log(found.weights)
+    # Steps of a search farther away would overflow.
+    searches = [
+        minimize(aim, start, jac=True, method="L-BFGS-B", bounds=log_u[:, None] + (-30, 8),
+                 options={"maxiter": 300, "ftol": 1e-15, "gtol": 1e-10})
+        for start in starts
+    ]  # fmt: skip
+    best = min(searches, key=lambda each: each.fun)
     own, mass = aim(np.log(found.weights))[0], np.exp(best.x).sum()
     return {
         "aim above the least": (own - best.fun) / ((rho + epsilon) * mass) / 1e-5,
