@@ -210,7 +210,8 @@ def test_a_long_reach_on_a_fixed_support_is_balanced(any_backend, debias):
         for reach in (3000.0, None)
     )
     assert found.n_iter == want.n_iter
-    np.testing.assert_allclose(found.weights / found.mass, want.weights, atol=1e-8)
+    # Both iterations round the sums of devices in their own ways: a tenth of the tolerance.
+    np.testing.assert_allclose(found.weights / found.mass, want.weights, rtol=1e-5, atol=1e-8)
     assert found.mass == pytest.approx(1.0, abs=1e-4)
 
 

@@ -28,7 +28,7 @@ def grid_case(
     exponents[rng.random(cells) < 0.2] -= 40.0
     exponents[rng.random(cells) < 0.2] = -np.inf
     exponents[0, ...] = -np.inf
-    # A chunk with mass in its first cell alone, and others without: sums there go on to a chunk below.
+    # A chunk with mass in its first cell alone, and empty ones: sums there go on to the one below.
     exponents[..., 17:36] = -np.inf
     exponents.ravel()[-1] = 1.0
     axes = []
