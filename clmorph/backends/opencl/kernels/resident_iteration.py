@@ -311,8 +311,8 @@ class ResidentSteps(ABC):
             if events:
                 cl.wait_for_events(events)
         f, *images, t_columns = (
-            self._in_order(side, each[: len(side)])
+            self._in_order(side, each)
             for (side, *_), values in zip(places, found, strict=True)
-            for each in self._read(iteration, values)
+            for each in self._read(iteration, values[:, : len(side)])
         )
         return f, np.array(images), t_columns
