@@ -127,7 +127,8 @@ def as_pairs(values: Any) -> NDArray[np.float32]:
 
 def of_pairs(values: Float64) -> Float64:
     """Return the numbers whose pairs of float32 were read into this array."""
-    return values.view(np.float32).reshape(*values.shape, 2).sum(axis=-1, dtype=float)
+    with np.errstate(invalid="ignore"):  # before the second iteration one image may be anything
+        return values.view(np.float32).reshape(*values.shape, 2).sum(axis=-1, dtype=float)
 
 
 def _power_near(size: float) -> float:
