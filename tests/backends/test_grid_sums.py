@@ -30,7 +30,9 @@ def over_pairs(exponents, axes):
 def test_numpy_sums_over_all_pairs(sizes, step):
     exponents, axes = grid_case(*sizes, step)
     found = REFERENCE.grid_log_sum_exp(exponents, axes)
-    np.testing.assert_allclose(found, over_pairs(exponents, axes).astype(float), rtol=1e-13)
+    want = over_pairs(exponents, axes).astype(float)
+    # Exponents near one are rounded before sums whose logarithm may be near zero.
+    np.testing.assert_allclose(found, want, rtol=1e-13, atol=1e-14)
 
 
 def test_without_float64_precise_sums_are_those_of_numpy(device):
