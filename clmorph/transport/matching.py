@@ -25,7 +25,9 @@ from clmorph.transport.sinkhorn import solve
 
 #: epsilon of the entropic start, relative to the mean cost of all pairs; its tolerance, the largest
 #: number of its iterations, and nats that pairs left out may change.
-EPSILON, TOLERANCE, ITERATIONS, TRUNCATION = 1e-3, 0.2, 300, 1e-2
+EPSILON, TOLERANCE, ITERATIONS, TRUNCATION = 3e-3, 0.2, 300, 0.1
+#: epsilon of plans from which candidates are drawn, in the same unit.
+DRAWN = 1e-3
 #: Pairs from which leaving some out hastens that, and so do coarser problems up to this dimension.
 LARGE, FLAT = 1 << 23, 3
 #: Points left over, for each one that is assigned, with which prices begin at 0 instead.
@@ -212,7 +214,7 @@ def _scaled(
         ).g  # fmt: skip
     elif prices is None:
         prices = g  # most points of the larger cloud are left, whose prices are 0
-    plans = None if start is not None else plan_search(unit, EPSILON, gap, operations, seed)
+    plans = None if start is not None else plan_search(unit, DRAWN, gap, operations, seed)
     found = solved(
         unit, prices, EPSILON, gap, seed,
         lambda share: report(Share(0.3 + 0.7 * share, getattr(share, "note", ""))), start,
