@@ -196,7 +196,7 @@ def test_builds_that_fail_are_passed_over(device, monkeypatch):
 
 
 @pytest.mark.needs_device
-def test_the_command(capsys, fast_tile, tmp_path, monkeypatch):
+def test_the_command(capsys, fast_tile, asked, tmp_path, monkeypatch):
     # `test_tuning_is_kept_and_used` verifies the programs.
     monkeypatch.setattr(tuning, "_is_right", lambda *_: True)
     assert main(["tune"]) == 0
