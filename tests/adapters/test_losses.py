@@ -163,7 +163,7 @@ def test_jax_second_derivatives(any_backend, rng, reach):
         assert np.abs(np.asarray(got) - want).max() <= 1e-3 * np.abs(want).max()
 
 
-@pytest.mark.parametrize("reach", [0.5, None])
+@pytest.mark.parametrize("reach", [0.5, pytest.param(None, marks=pytest.mark.full)])
 def test_jax_modes(rng, reach):
     """Each mode, and each pair of modes, beside differences; compiled, mapped, and in batches."""
     jax = pytest.importorskip("jax")
