@@ -49,7 +49,7 @@ def test_from_two_pictures_to_the_same_file_as_the_command(opened, pictures, pla
     until(page, "document.getElementById('status').textContent === 'cancelled'", 10)
     assert time.monotonic() - began < 5
     assert page.locator("#views iframe:not(.previous)").count() == 1
-    fill(page, frames="6")
+    fill(page, frames="6", size="24")
     page.select_option("#option-reverse", "yes")
     run(page)
     assert page.evaluate("studio.state.view.contentWindow.clmorph.times.length") == 6
