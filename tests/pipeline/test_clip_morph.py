@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import shutil
 import subprocess
 import sys
 from fractions import Fraction
@@ -126,14 +127,13 @@ def test_frames_are_read_as_they_are_asked_for(device):
     assert read == 30 + 8
 
 
-@pytest.fixture
-def films(tmp_path, monkeypatch):
-    """Two films with a tone each, a silent one, and a picture, in the current folder."""
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A folder with two films with a tone each, a silent one, and a picture."""
     pytest.importorskip("av")
     from PIL import Image
 
-    ffmpeg = program("ffmpeg")
-    monkeypatch.chdir(tmp_path)
+    ffmpeg, folder = program("ffmpeg"), tmp_path_factory.mktemp("films")
     for name, seed, tone, how in (
         ("one.mp4", 1, 440, ["-c:v", "libx264", "-c:a", "aac"]),
         ("two.webm", 2, 1500, ["-c:v", "libvpx-vp9", "-c:a", "libopus"]),
@@ -144,9 +144,17 @@ def films(tmp_path, monkeypatch):
         subprocess.run(
             [ffmpeg, "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "48x48",
              "-r", "20", "-i", "-", *sound, "-pix_fmt", "yuv420p", *how, name],
-            input=frames, check=True,
+            input=frames, check=True, cwd=folder,
         )  # fmt: skip
-    Image.fromarray(moving(3, 1)[0]).save("still.png")
+    Image.fromarray(moving(3, 1)[0]).save(folder / "still.png")
+    return folder
+
+
+@pytest.fixture
+def films(recorded, tmp_path, monkeypatch):
+    """The current folder, with copies of the films and of the picture."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(recorded, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 
@@ -182,7 +190,7 @@ def test_films_and_their_sounds(device, films, capfd):
         each.index for each in find_devices()
         if each.handle == device.device
     )  # fmt: skip
-    arguments = ["--duration", "0.5", "--device", device_name]
+    arguments = ["--duration", "0.5", "--size", "16", "--device", device_name]
     line = ["morph", "one.mp4", "two.webm", "-o", "a.mp4", "-o", "b.webm", *arguments]
     assert main(line) == 0
     assert "50 frames, 2.5 s" in capfd.readouterr().out
@@ -253,7 +261,7 @@ def test_unusual_clips(films):
         ("one.mp4 two.webm -o x.gif", "expected .mp4 or .webm"),
         ("one.mp4 two.webm still.png -o x.mp4", "expected two"),
         ("one.mp4 two.webm -o x.mp4 --duration 9", "lasts 1.50 s, and the transition 9.00 s"),
-        ("still.png two.webm -o x.mp4 --duration 9", "two.webm lasts 1.50 s"),
+        ("still.png two.webm -o x.mp4 --duration 2", "two.webm lasts 1.50 s"),
         ("one.mp4 two.webm -o x.mp4 --duration 99", "expected at most 60 s"),
         ("one.mp4 two.webm -o x.mp4 --preset mosaic", "expected 'layers' for a clip"),
         ("one.mp4 two.webm -o x.mp4 --labels still.png still.png", "--labels is for stills"),
