@@ -86,7 +86,7 @@ class Channels:
         margin = round(self._margin * max(small.shape))
         height, width = (side + 2 * margin for side in small.shape)
         spline = np.zeros((height, width, 4), np.float32)
-        channels = (image[..., [c]] for image in self._images for c in range(image.shape[2]))
+        channels = (image[..., c : c + 1] for image in self._images for c in range(image.shape[2]))
         for number, channel in enumerate(channels):
             plane = reduced(channel, small.shape)[..., 0]
             if number == 3 and self._signed:

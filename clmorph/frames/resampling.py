@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,26 @@ def reduced(image: NDArray[_Real], shape: tuple[int, ...]) -> NDArray[_Real]:
     """Return an image, (H, W, C), with fewer pixels, each the mean of the area that it covers."""
     if image.shape[:2] == shape:
         return image
-    from skimage.transform import resize_local_mean
+    height, width = image.shape[:2]
+    down, along = (_areas(many, few) for many, few in zip((height, width), shape, strict=True))
+    rows = down.astype(image.dtype) @ image.reshape(height, -1)
+    rows = rows.reshape(shape[0], width, -1).swapaxes(0, 1).reshape(width, -1)
+    small = (along.astype(image.dtype) @ rows).reshape(shape[1], shape[0], -1)
+    return np.ascontiguousarray(small.swapaxes(0, 1))
 
-    small = resize_local_mean(image, shape, grid_mode=True, preserve_range=True, channel_axis=-1)
-    return np.asarray(small, dtype=image.dtype)
+
+def _areas(many: int, few: int) -> Any:
+    """Return the share of each of many pixels in each of few along a side, a sparse matrix."""
+    from scipy.sparse import csr_array
+
+    edges = np.linspace(0, many, few + 1)
+    pixels = np.floor(edges[:-1, None]).astype(int) + np.arange(-(-many // few) + 1)
+    shares = np.minimum(edges[1:, None], pixels + 1) - np.maximum(edges[:-1, None], pixels)
+    shares = np.maximum(shares, 0.0) * (few / many)
+    starts = pixels.shape[1] * np.arange(few + 1)
+    # Beyond the last pixel all shares are 0.
+    found = (shares.ravel(), np.minimum(pixels, many - 1).ravel(), starts)
+    return csr_array(found, shape=(few, many))
 
 
 class Enlarged:
@@ -39,7 +55,9 @@ class Enlarged:
         right = np.minimum(left + 1, image.shape[1] - 1)
         self._lines = image
         if image.shape[1] != shape[1] or along.any():
-            self._lines = image[:, left] * (1 - along) + image[:, right] * along
+            # Indices of the second axis would take several times as long.
+            self._lines = image.take(left, axis=1)
+            self._lines += (image.take(right, axis=1) - self._lines) * along
 
     def rows(self, rows: slice = slice(None)) -> Float32:
         """Return the image on some rows of the canvas."""
