@@ -55,7 +55,7 @@ class Moment(NamedTuple):
     def frame(
         self, t: float, pictures: tuple[Array, Array], canvas: Canvas, extent: str, space: str,
         operations: Operations,
-    ) -> Array:  # fmt: skip
+    ) -> NDArray[np.floating]:  # fmt: skip
         """Draw two opaque pictures, (H, W, 3) each, on a canvas at the time t of their film."""
         ends = [End(picture, None, extent) for picture in pictures]
         drawn = Pictures(ends, (canvas, canvas), None, space, operations)

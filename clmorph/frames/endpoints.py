@@ -158,17 +158,18 @@ class EndCorrection:
 
     def set_rest(self, end: int, missing: Array) -> None:
         """Set the difference that remains at an end, 0 or 1, after correction: (H, W, C) array."""
-        if np.abs(missing).max() > ROUNDING:
+        if max(missing.max(), -missing.min()) > ROUNDING:
             self._rest[end] = missing.astype(np.float32)
 
-    def resting(self, t: float, canvas: Canvas) -> Array | float:
-        """Return the correction of the finished frame at t, which rests: (H, W, C) array, or 0."""
-        total: Array | float = 0.0
+    def correct(self, frame: NDArray[np.floating], t: float) -> None:
+        """Add the correction that rests to the finished frame at t, (H, W, C), in place."""
         share = self._share(t)
         for end, missing in zip(((1 - t), t), self._rest, strict=True):
             if missing is not None and end * share > 0:
-                total = total + end * share * resized(missing, canvas.shape)
-        return total
+                if missing.shape != frame.shape:
+                    missing = resized(missing, frame.shape[:2]).astype(np.float32)
+                frame += float(end * share) * missing
+        np.clip(frame, 0.0, 1.0, out=frame)
 
 
 def make_details(

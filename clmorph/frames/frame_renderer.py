@@ -101,14 +101,13 @@ class FrameRenderer:
         source, target = self._ends
         return canvas_at(t, source.shape, target.shape, source.extent)
 
-    def frame(self, t: float) -> NDArray[np.float64]:
+    def frame(self, t: float) -> NDArray[np.floating]:
         """Render the frame at time t: (H, W, 3) or, with opacity, (H, W, 4) array."""
         if t in (0.0, 1.0) and self.layers is not None and self.layers.exact:
             return self._ends[int(t)].colors
-        canvas = self.canvas(t)
         picture = self._picture(t, self._correction)
         if self._correction is not None:
-            picture = np.clip(picture + self._correction.resting(t, canvas), 0.0, 1.0)
+            self._correction.correct(picture, t)
         return picture
 
     def sums(self, t: float, widths: Widths | None = None, canvas: Canvas | None = None) -> Sums:
@@ -156,7 +155,7 @@ class FrameRenderer:
         self._last_opacity = t, opaque
         return opaque
 
-    def _picture(self, t: float, correction: EndCorrection | None) -> NDArray[np.float64]:
+    def _picture(self, t: float, correction: EndCorrection | None) -> NDArray[np.floating]:
         """Return colors and, if there is one, opacity, before the resting correction is added."""
         canvas = self.canvas(t)
         if self.layers is not None:

@@ -128,7 +128,7 @@ class Layers:
         """Whether the first and the last frame are the pictures, without a correction."""
         return self._pictures.figures is None
 
-    def frame(self, t: float, canvas: Canvas) -> Array:
+    def frame(self, t: float, canvas: Canvas) -> NDArray[np.floating]:
         """Return a frame: (H, W, 3) array of sRGB, or (H, W, 4) with opacity."""
         second = switched(self.times, self.agreement, t)
         return self._pictures.frame(

@@ -56,7 +56,7 @@ class MixRenderer:
             operations,
         )
 
-    def frame(self, weights: Sequence[float]) -> Array:
+    def frame(self, weights: Sequence[float]) -> NDArray[np.floating]:
         """Draw a mixture by weights of sum 1: (H, W, 3) sRGB array, or (H, W, 4) with opacity."""
         stage = self._pictures.stage
         points = stage.positions()

@@ -42,8 +42,8 @@ LEVEL = 0.06
 MET = 1.0
 #: Points of the stage by which outlines may differ where pictures agree at another time.
 NEAR = 2.0
-#: Width, as a share of the longer side, over which pictures with a ground are continued beyond
-#: their borders, so that distances from outlines go on there.
+#: Width, as a share of the longer side, over which figures are continued beyond the borders of
+#: their pictures, so that distances from outlines go on there.
 MARGIN = 1 / 8
 #: Points of the stage over which a layer stops being seen beyond its own figure.
 COVER = 2.0
@@ -54,8 +54,8 @@ FAINT = 0.01
 class Channels:
     """A picture of three or four channels, ready to be sampled at any scale.
 
-    `images`, (H, W, C) each, have its channels. It is continued as its border is, by a `margin`, a
-    share of its longer side; a fourth channel that is `signed` is a distance from an outline.
+    `images`, (H, W, C) each, have its channels. A fourth one that is `signed` is a distance from an
+    outline: it goes on in a margin, over which the others are continued as their border is.
     """
 
     def __init__(
@@ -63,12 +63,11 @@ class Channels:
         images: Sequence[Float32],
         canvas: Canvas,
         operations: Operations,
-        margin: float,
         *,
         signed: bool,
     ) -> None:
         self._images, self.canvas, self._operations = images, canvas, operations
-        self._margin, self._signed = margin, signed
+        self._signed = signed
         self.level = lru_cache(maxsize=None)(self._level)
 
     def on(self, operations: Operations) -> Channels:
@@ -83,7 +82,7 @@ class Channels:
 
         longest = max(self.canvas.shape)
         small = self.canvas.reduced(max(1, round(longest / 2**halvings)))
-        margin = round(self._margin * max(small.shape))
+        margin = round(MARGIN * max(small.shape)) if self._signed else 0
         height, width = (side + 2 * margin for side in small.shape)
         spline = np.zeros((height, width, 4), np.float32)
         channels = (image[..., c : c + 1] for image in self._images for c in range(image.shape[2]))
@@ -216,10 +215,9 @@ class Pictures:
                     ]
                     for figure in figures
                 ]
-        margin = 0.0 if figures is None else MARGIN
         self._channels = {
             name: [
-                Channels(channels, canvas, operations, margin, signed=name == "figure")
+                Channels(channels, canvas, operations, signed=name == "figure")
                 for channels, canvas in zip(same, canvases, strict=True)
             ]
             for name, same in images.items()
@@ -254,7 +252,7 @@ class Pictures:
         agreement: Array,
         thin: Array,
         canvas: Canvas,
-    ) -> Array:
+    ) -> NDArray[np.floating]:
         """Return a frame: (H, W, 3) array of sRGB, or (H, W, 4) with opacity.
 
         For each picture `layers` has its layer, `ways` the share of its way that it has gone,
@@ -303,10 +301,10 @@ class Pictures:
                 led_to(layer, own, edge.astype(float), share, self.stage, self._operations)
                 for layer, own, share in zip(layers, distances, ways, strict=True)
             ]
+            shown.clear()
             figure = self._drawn("figure", led, ways, covered, even, canvas, None)
         else:
             figure = shown[canvas.shape]
-        shown.clear()
         translucent = "alpha" in self._channels
         opacity = drawn("alpha", weights, canvas)[..., 3] if translucent else None
         # What agrees is a warp of both pictures, with the edges that they have.
@@ -329,10 +327,10 @@ class Pictures:
         ground: tuple[Array, float],
         own: Float32 | None,
         seen: Enlarged,
-    ) -> Array:
+    ) -> Float32:
         """Return a frame of a figure before its ground, and where `seen` of the pictures' own."""
         color, alpha = ground[0].astype(np.float32), np.float32(ground[1])
-        frame = np.empty((*canvas.shape, 4 if self.clear else 3))
+        frame = np.empty((*canvas.shape, 4 if self.clear else 3), np.float32)
 
         def put(rows: slice) -> None:
             opaque = inside(rows)[..., None]

@@ -37,7 +37,7 @@ class SpreadRenderer:
         turn = self._turn_at.get(t)
         return self._first if turn is None else self._renderers[turn]
 
-    def frame(self, t: float) -> NDArray[np.float64]:
+    def frame(self, t: float) -> NDArray[np.floating]:
         """Render the frame at time t; see `FrameRenderer.frame`."""
         return self._at(t).frame(t)
 
@@ -70,6 +70,6 @@ class SpreadRenderer:
 
         def frame(turn: int, number: int) -> NDArray[np.float32]:
             t = float(self._times[first + number])
-            return self._renderers[turn].frame(t).astype(np.float32)
+            return self._renderers[turn].frame(t).astype(np.float32, copy=False)
 
         yield from results_in_order(self._turns[first:], frame)

@@ -278,7 +278,7 @@ class Morph(FrameSequence):
         >>> frame.shape, frame.dtype.name
         ((6, 6, 3), 'float32')
         """
-        return self._renderer.frame(check_number("t", t, 0.0, 1.0)).astype(np.float32)
+        return self._renderer.frame(check_number("t", t, 0.0, 1.0)).astype(np.float32, copy=False)
 
     def device_frame(self, t: float, queue: Any = None) -> Any:
         """Render the frame at time t into a new array in the memory of a device.

@@ -338,10 +338,10 @@ class Mixes(Sequence[Frame]):
     def _drawn(self, weights: Array) -> Frame:
         shown = np.flatnonzero(weights).tolist()
         if len(shown) == 1:
-            picture: Array = self.images[shown[0]]
+            picture: NDArray[np.floating] = self.images[shown[0]]
         elif len(shown) == 2:
             first, second = shown
-            picture = self.morph(first, second).frame(float(weights[second])).astype(np.float64)
+            picture = self.morph(first, second).frame(float(weights[second]))
         elif self.carries:
             picture = self._renderer.frame(weights.tolist())
         else:
