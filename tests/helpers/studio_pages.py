@@ -80,7 +80,10 @@ def pictures(place):
 def until(page, condition, seconds=60.0):
     end = time.monotonic() + seconds
     while not page.evaluate(f"Boolean({condition})"):
-        assert time.monotonic() < end, (condition, page.inner_text("body"))
+        if time.monotonic() > end:
+            numbers = page.evaluate("[studio.state.number, studio.state.shown, studio.state.heard]")
+            said = page.inner_text("#status"), page.inner_text("#failure")
+            raise AssertionError(f"{condition}: asked, shown, heard {numbers}, said {said}")
         time.sleep(0.02)
 
 
