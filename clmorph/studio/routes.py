@@ -272,7 +272,10 @@ class Studio:
 
     async def start(self, kind: Any, request: Request, tab: Tab) -> Response:
         """Begin a preview or a whole morph, and say with which options."""
-        asked = await _json(request)
+        async with tab.turn:
+            return await self._start(kind, await _json(request), tab)
+
+    async def _start(self, kind: Any, asked: Mapping[str, Any], tab: Tab) -> Response:
         number = asked.get("number")
         if not isinstance(number, int) or not 0 <= number < 1 << 40:
             raise InputError("number: expected the number of the request")

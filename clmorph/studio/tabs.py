@@ -77,6 +77,8 @@ class Tab:
     heard: float = field(default_factory=time.monotonic)
     listeners: set["asyncio.Queue[dict[str, Any]]"] = field(default_factory=set)
     lock: threading.Lock = field(default_factory=threading.Lock)
+    #: Requests for work begin one after another, so that an older one never replaces a newer one.
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
 
     def publish(self, kind: str, **more: Any) -> None:
         """Tell the page something, from any thread."""

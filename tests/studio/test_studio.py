@@ -1,5 +1,6 @@
 """Test the studio as its user meets it: a server of its own process, driven in a browser."""
 
+import asyncio
 import http.client
 import json
 import re
@@ -9,11 +10,16 @@ import subprocess
 import sys
 import time
 import zlib
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from studio_pages import fetched, fill, finished, frame, run, same_by, served, take, until
 
-from clmorph.studio.tabs import Tab
+from clmorph.studio import work
+from clmorph.studio.routes import Studio
+from clmorph.studio.tabs import Shown, Tab
 
 
 def test_from_two_pictures_to_the_same_file_as_the_command(opened, pictures, place):
@@ -134,6 +140,40 @@ def asked(port, method, path, headers=(), body=None, host=None):
     found = answer.status, answer.read(), dict(answer.getheaders())
     connection.close()
     return found
+
+
+def test_an_older_request_does_not_replace_a_newer_one(place, monkeypatch):
+    """The presets of the first request take longer to choose than those of the second."""
+    jobs, seconds = [], iter((0.3, 0.0))
+
+    def recognized(ask):
+        time.sleep(next(seconds))
+        return "photo"
+
+    class Waiting:
+        def submit(self, job, replaces):
+            jobs.append(job.work.args[0].args[0].number)
+            return 0
+
+    async def begun():
+        studio = Studio(place, Waiting(), str, [], [{"name": "auto", "label": "auto"}])
+        tab = studio.tabs.open()
+        pixels = np.zeros((4, 5, 3), np.float32)
+        tab.pictures += [Shown(place / f"{key}.png", pixels, key) for key in "ab"]
+        requests = []
+        for body in (b'{"number": 1}', b'{"number": 2}'):
+
+            async def stream(body=body):
+                yield body
+
+            requests.append(studio.start("preview", SimpleNamespace(stream=stream), tab))
+        return await asyncio.gather(*requests)
+
+    monkeypatch.setattr(work.Ask, "recognized", recognized)
+    with ThreadPoolExecutor(1) as thread:  # the browser of other tests keeps a loop in this one
+        answers = thread.submit(asyncio.run, begun()).result()
+    assert [answer.status_code for answer in answers] == [202, 202]
+    assert jobs == [1, 2]
 
 
 def test_strangers_are_refused(port):
