@@ -94,9 +94,9 @@ def judged(name: str, tol: float, n: int, truth, pair) -> dict:
         potentials = np.load(file)
     f, g = potentials["f"], potentials["g"]
     solved = Problem.between(get_backend("auto"), *pair, (RHO, RHO))
-    t_rows = solved.softmin_rows(g, EPSILON, True)
-    t_columns = solved.softmin_columns(f, EPSILON, True)
-    error = np.abs(solved.row_mass(f, t_rows, EPSILON) - truth).sum() / truth.sum()
+    t_rows = solved.softmin(0, g, EPSILON, True)
+    t_columns = solved.softmin(1, f, EPSILON, True)
+    error = np.abs(solved.marginal(0, f, t_rows, EPSILON) - truth).sum() / truth.sum()
     residual = solved.residual(f, g, t_rows, t_columns, EPSILON)
     return record | {"error": float(error), "residual": residual}
 

@@ -78,11 +78,11 @@ def iterated_over_stored(operations: Operations, rho: tuple[float, float]) -> li
     measures = [WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in (130, 67)]
     problem = Problem.between(operations, *measures, rho)
     g = np.zeros(67)
-    f, g, t_rows, _ = problem.half_step(0, g, problem.softmin_rows(g, epsilon, False), epsilon)
-    softmins = t_rows, problem.softmin_columns(f, epsilon, False)
+    f, g, t_rows, _ = problem.half_step(0, g, problem.softmin(0, g, epsilon, False), epsilon)
+    softmins = t_rows, problem.softmin(1, f, epsilon, False)
     grid = stored_grid(problem, f, g, softmins, epsilon, 130 * 67, STORED_CHOICES)
     assert grid is not None
-    grid.problem.center_trust_region(grid.source.restrict(f, problem.a))
+    grid.problem.center = grid.source.restrict(f, problem.a)
     corrections = [
         side.restrict(0.3 * epsilon * rng.random(size), np.ones(size))
         for side, size in ((grid.source, 130), (grid.target, 67))

@@ -7,12 +7,11 @@ from typing import Any, overload
 
 import numpy as np
 
-from clmorph._shared.typing import Array, IntArray
-from clmorph.transport._solver.batch import certificate_of
+from clmorph._shared.typing import IntArray
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
-from clmorph.transport.sinkhorn import outcome
+from clmorph.transport.sinkhorn import finish
 
 
 class PotentialsBatch(Sequence[Potentials]):
@@ -107,31 +106,13 @@ class Solved:
         self.numbers, self._iteration, self._given = numbers, iteration, given
         self.statuses: list[str] = list(iteration.status)
         self.residuals, self.n_iter = iteration.residual, iteration.n_iter
-        self._histories: list[Array] | None = None
         # Certificates, which may be asked for much later, need no clouds.
         for softmin in (iteration.problem.to_rows, iteration.problem.to_columns):
             softmin.rows = softmin.columns = None
 
     def make(self, place: int) -> Potentials:
         """Return the potentials of a problem, by its place among these."""
-        of, given = self._iteration, self._given
-        rows, columns = of.problem.reductions
-        f, t_rows = rows.part(of.f, place), rows.part(of.t_rows, place)
-        g, t_columns = columns.part(of.g, place), columns.part(of.t_columns, place)
-        roundoffs = float(of.roundoffs[0, place]), float(of.roundoffs[1, place])
-        if self._histories is None:
-            self._histories = of.histories()
-        status, residual = self.statuses[place], float(of.residual[place])
-        n_iter = int(self.n_iter[place])
-        message = outcome(status, n_iter, residual, of.tol, float(of.rounding[place]), of.precision)
-        return Potentials(
-            f.copy(), g.copy(), given.blur, given.reach, status, message, n_iter,
-            residual, self._histories[place].copy(),
-            certificate_of(
-                of.problem, place, (f, g), (t_rows, t_columns), roundoffs, given.epsilon
-            ),
-            bool(of.precise[place]), None, max(roundoffs), 1.0,
-        )  # fmt: skip
+        return finish(self._iteration.outcome(place), self._given, None)
 
 
 class Single:

@@ -216,16 +216,16 @@ def solve(
     ended: Outcome
     many = is_large(pair, operations) and max_iter >= SHORT
     if g is None and multiscale is not True and is_symmetric(pair, given.rho):
-        ended = solve_symmetric(problem, *options).alone()
+        ended = solve_symmetric(problem, *options).outcome()
     elif many if multiscale == "auto" else multiscale:
         ended = Multiscale(problem, pair, *options).run(g)
     else:
         iteration = Iteration(problem, *options, exact=exact)
         iteration.run(g)
-        ended = iteration.alone()
+        ended = iteration.outcome()
     if verify and limit is not None:
         _take_all_pairs(ended, given.epsilon)
-    found = _finish(ended, given, limit)
+    found = finish(ended, given, limit)
     return replace(found, passes=_passes(ended)) if keep else found
 
 
@@ -276,7 +276,7 @@ def _geomloss(
     )  # fmt: skip
 
 
-def _finish(ended: Outcome, given: Regularization, truncation: float | None) -> Potentials:
+def finish(ended: Outcome, given: Regularization, truncation: float | None) -> Potentials:
     """Return the potentials that the iteration has reached."""
     problem, state = ended.problem, ended.state
     message = outcome(

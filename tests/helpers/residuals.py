@@ -12,7 +12,7 @@ def true_residual(pair, potentials):
     rho = potentials.rho if isinstance(potentials.rho, tuple) else (potentials.rho,) * 2
     problem = Problem.between(clmorph.get_backend("numpy"), *measures, rho)
     softmins = (
-        problem.softmin_rows(potentials.g, potentials.epsilon, True),
-        problem.softmin_columns(potentials.f, potentials.epsilon, True),
+        problem.softmin(0, potentials.g, potentials.epsilon, True),
+        problem.softmin(1, potentials.f, potentials.epsilon, True),
     )
     return problem.residual(potentials.f, potentials.g, *softmins, potentials.epsilon)

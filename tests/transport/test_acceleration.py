@@ -103,15 +103,15 @@ def test_rounding_beyond_its_bound_leaves_the_acceleration(bias):
 
     def iterations(bias):
         problem = Problem.between(clmorph.get_backend("numpy"), source, target, (1.0, 1.0))
-        exact = problem.softmin_columns
-        problem.softmin_columns = lambda f, epsilon, *flags: (
-            exact(f, epsilon, *flags) + bias * epsilon
+        exact = problem.softmin
+        problem.softmin = lambda side, old, epsilon, *flags: (
+            exact(side, old, epsilon, *flags) + side * bias * epsilon
         )
         iteration = Iteration(
             problem, 0.03, 1e-4, 5000, "auto", lambda share: None, certify=False
         )  # fmt: skip
         iteration.run(np.zeros(80))
-        found = iteration.alone()
+        found = iteration.outcome()
         assert found.status == "converged"
         return found.n_iter
 
@@ -200,6 +200,6 @@ def test_rounding_ends_an_iteration_after_its_patience(rng, monkeypatch, patienc
             problem, 0.1, 1e-3, 40, "float64", lambda share: None, certify=False, patience=patience
         )
         iteration.run(np.zeros(30))
-        found = iteration.alone()
+        found = iteration.outcome()
         assert found.n_iter == expected
         assert found.status == ("precision" if rounding == 1.0 else "max_iter")

@@ -264,7 +264,7 @@ def test_the_number_of_launches_is_that_of_the_slowest(device, rng):
 def test_potentials_are_made_when_they_are_asked_for(monkeypatch, rng):
     calls, certify = [], certificate.certify
     monkeypatch.setattr(
-        "clmorph.transport._solver.batch.certify",
+        "clmorph.transport._solver.problem.certify",
         lambda *given: (calls.append(1), certify(*given))[1],
     )
     found = solve(random_pairs(rng, 6), 0.1, 0.3, backend="numpy")

@@ -126,11 +126,11 @@ def test_half_steps_maximize_the_dual_over_translations_too(rng, rho):
                 assert dual(data, *arguments(s), epsilon, rho) < at
 
     g = 0.1 * rng.random(25)
-    f, g, t_rows, _ = problem.half_step(0, g, problem.softmin_rows(g, epsilon, True), epsilon)
+    f, g, t_rows, _ = problem.half_step(0, g, problem.softmin(0, g, epsilon, True), epsilon)
     source_damping, target_damping = problem.damping(epsilon)
-    assert np.allclose(t_rows, problem.softmin_rows(g, epsilon, True), rtol=0, atol=1e-12)
+    assert np.allclose(t_rows, problem.softmin(0, g, epsilon, True), rtol=0, atol=1e-12)
     best(f, g, lambda s: (source_damping * (t_rows - s), g + s))
-    g, f, t_columns, _ = problem.half_step(1, f, problem.softmin_columns(f, epsilon, True), epsilon)
+    g, f, t_columns, _ = problem.half_step(1, f, problem.softmin(1, f, epsilon, True), epsilon)
     best(f, g, lambda s: (f + s, target_damping * (t_columns - s)))
 
 
@@ -149,12 +149,12 @@ def test_masses_after_half_steps_have_closed_forms(rng, rho, corrected):
     if corrected:
         problem.correct(epsilon * rng.normal(size=20), epsilon * rng.normal(size=25), epsilon)
     g = 0.1 * rng.random(25)
-    softmin = problem.softmin_rows(g, epsilon, True)
+    softmin = problem.softmin(0, g, epsilon, True)
     general, closed = (take_step(problem, 0, g, softmin, epsilon, enough) for enough in (0.0, 1e-6))
     assert closed.mass == pytest.approx(general.mass, rel=1e-12)
     assert closed.dual == pytest.approx(general.dual, abs=1e-11 * epsilon * general.mass)
     assert np.array_equal(closed.f, general.f)
-    softmin = problem.softmin_columns(closed.f, epsilon, True)
+    softmin = problem.softmin(1, closed.f, epsilon, True)
     general, closed = (
         take_step(problem, 1, before.f, softmin, epsilon, enough, before.log_mass)
         for before, enough in ((general, 0.0), (closed, 1e-6))
@@ -169,7 +169,7 @@ def test_a_closed_form_with_too_few_digits_is_not_used(rng):
     epsilon, rho = 0.05, 1e9
     problem = Problem.between(clmorph.get_backend("numpy"), source, target, (rho, rho))
     g = 0.1 * rng.random(25)
-    step = take_step(problem, 0, g, problem.softmin_rows(g, epsilon, True), epsilon, 1e-7)
+    step = take_step(problem, 0, g, problem.softmin(0, g, epsilon, True), epsilon, 1e-7)
     exact = problem.dual(step.f, step.g, step.mass, epsilon)
     assert step.dual == exact
     assert problem.dual(step.f, step.g, step.mass, epsilon, 1.0) != exact
@@ -183,8 +183,8 @@ def test_half_steps_are_finite_where_masses_underflow(rng):
     problem = Problem.between(clmorph.get_backend("numpy"), source, target, (rho, rho))
     g = np.zeros(25)
     for enough in (0.0, 1e-6):
-        rows = take_step(problem, 0, g, problem.softmin_rows(g, epsilon, True), epsilon, enough)
-        softmin = problem.softmin_columns(rows.f, epsilon, True)
+        rows = take_step(problem, 0, g, problem.softmin(0, g, epsilon, True), epsilon, enough)
+        softmin = problem.softmin(1, rows.f, epsilon, True)
         columns = take_step(problem, 1, rows.f, softmin, epsilon, enough, rows.log_mass)
         assert rows.mass == 0
         for found in (rows.f, rows.g, columns.f, columns.g, rows.dual, columns.dual):

@@ -81,7 +81,7 @@ def anneal(
             patience=LEVEL_PATIENCE,
         )  # fmt: skip
         iteration.run(g)
-        state = iteration.alone().state
+        state = iteration.outcome().state
         problems.pop()
         # Potentials are close to linear in epsilon, of which three quarters go at each level, so
         # the line through the last two levels is continued to the next one.

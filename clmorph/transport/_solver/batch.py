@@ -12,7 +12,6 @@ from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import Problem, cost_across
 from clmorph.transport._solver.reductions import Segments
 from clmorph.transport._solver.softmin import Softmin, overflow
-from clmorph.transport.certificate import Certificate, Side, certify
 
 
 class BatchSoftmin(Softmin):
@@ -144,22 +143,22 @@ def some(problem: Problem, problems: IntArray, uploaded: bool = True) -> Problem
     return made
 
 
-def certificate_of(
-    problem: Problem,
-    number: int,
-    potentials: tuple[Array, Array],
-    softmins: tuple[Array, Array],
-    roundoffs: tuple[float, float],
-    epsilon: float,
-) -> Certificate:
-    """Return the certificate of one of many problems, from (f, g), (T(g), T(f)) and bounds."""
-    weights, logarithms = (problem.a, problem.b), (problem.log_a, problem.log_b)
-    rows, columns = (
-        Side(
-            of.part(weights[side], number), of.part(logarithms[side], number), potentials[side],
-            softmins[side], problem.inverse_rho[side], 0.0, roundoffs[side],
-            float(problem.oscillations[side][number]),
-        )
-        for side, of in enumerate(problem.reductions)
+def one_of(problem: Problem, number: int, roundoffs: Array) -> Problem:
+    """Return one of many problems, or the only one, as its last softmins with these bounds have it.
+
+    One of many has no clouds, of which certificates need none.
+    """
+    if not problem.of_rows.shape:
+        return problem
+    a, b = (
+        of.part(weights, number)
+        for of, weights in zip(problem.reductions, (problem.a, problem.b), strict=True)
+    )
+    softmins = [Softmin(problem.operations, None, None, each) for each in ((a, b), (b, a))]
+    for softmin, roundoff in zip(softmins, roundoffs.tolist(), strict=True):
+        softmin.roundoff = roundoff
+    one, other = (float(each[number]) for each in problem.oscillations)
+    return Problem(
+        softmins[0], softmins[1], (a, b), problem.rho, float(problem.largest_cost[number]),
+        oscillations=(one, other),
     )  # fmt: skip
-    return certify(rows, columns, epsilon)

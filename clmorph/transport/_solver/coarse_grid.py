@@ -61,15 +61,11 @@ class CorrectedProblem(Problem):
         """Return None: iterations over all pairs have no corrections on the device."""
         return None
 
-    def softmin_rows(self, g: Array, epsilon: float, precise: bool, bounded: bool = False) -> Array:
-        """T(g), corrected."""
-        return super().softmin_rows(g, epsilon, precise, bounded) + self._corrections[0]
-
-    def softmin_columns(
-        self, f: Array, epsilon: float, precise: bool, bounded: bool = False
+    def softmin(
+        self, side: int, old: Array, epsilon: float, precise: bool, bounded: bool = False
     ) -> Array:
-        """T(f), corrected."""
-        return super().softmin_columns(f, epsilon, precise, bounded) + self._corrections[1]
+        """Return T(g) or T(f), corrected."""
+        return super().softmin(side, old, epsilon, precise, bounded) + self._corrections[side]
 
     def correct(self, rows: Array, columns: Array, epsilon: float) -> None:
         """Set the corrections tau of T(g), (N,), and of T(f), (M,)."""
@@ -85,22 +81,13 @@ class CorrectedProblem(Problem):
         self._corrections = rows, columns
         self.a = self._own[0] * np.exp(rows / epsilon)
         self.b = self._own[1] * np.exp(columns / epsilon)
-        with np.errstate(divide="ignore"):
-            self.log_a, self.log_b = np.log(self.a), np.log(self.b)
-        self.masses = float(self.a.sum()), float(self.b.sum())
+        self._weigh()
 
-    def _sides(self, f: Array, g: Array, t_rows: Array, t_columns: Array) -> tuple[Side, Side]:
+    def _sides(self, f: Array, g: Array, t_rows: Array, t_columns: Array) -> list[Side]:
         # Pairs left out change the correction, not where the cycles end; a residual that counted
         # them would not reach the tolerance. The finest problem's certificate counts its own pairs.
-        rows, columns = super()._sides(f, g, t_rows, t_columns)
-        return rows._replace(left_out=0.0), columns._replace(left_out=0.0)
-
-    def center_trust_region(self, f: Array) -> None:
-        """Set the center of the trust region; here the region contains all potentials."""
-
-    def clip_to_trust_region(self, f: Array, epsilon: float) -> Array:
-        """Return the nearest potentials to f inside the trust region; here f itself."""
-        return f
+        sides = super()._sides(f, g, t_rows, t_columns)
+        return [side._replace(left_out=0.0) for side in sides]
 
 
 class Reordering:
@@ -202,7 +189,10 @@ class StoredSoftmin(Softmin):
 
 
 class StoredProblem(CorrectedProblem):
-    """A problem over stored pairs; it holds near the potentials for which they were stored."""
+    """A problem over stored pairs; it holds near the potentials for which they were stored.
+
+    The pairs are trusted around `center`, potentials f, (N,).
+    """
 
     center: Array
 
@@ -216,7 +206,7 @@ class StoredProblem(CorrectedProblem):
     ) -> None:
         super().__init__(*softmins, softmins[0].weights, like.rho, like.largest_cost)
         self.choice, self.trust_radius = choice, choice.trust_radius
-        self._softmins, self._plan_mass, self._epsilon = softmins, plan_mass, epsilon
+        self._plan_mass, self._epsilon = plan_mass, epsilon
         self._started: ResidentIteration | None = None
 
     def start_iteration(self) -> ResidentIteration | None:
@@ -228,7 +218,7 @@ class StoredProblem(CorrectedProblem):
                 mass, self._plan_mass, inverse, self._epsilon, enough, rounding
             ):
                 return None
-        (to_rows, to_columns), (of_rows, of_columns) = self._softmins, self._corrections
+        (to_rows, to_columns), (of_rows, of_columns) = self.softmins, self._corrections
         self._started = self.operations.start_stored_iteration(
             to_rows.stored,
             (
@@ -239,10 +229,6 @@ class StoredProblem(CorrectedProblem):
         )  # fmt: skip
         return self._started
 
-    def center_trust_region(self, f: Array) -> None:
-        """Set the potentials, (N,), around which the stored pairs are trusted."""
-        self.center = f
-
     def farthest(self, f: Any) -> Any:
         """Return the farthest move of a potential from the center, by points of positive mass."""
         of, massive = self.of_rows, self.a > 0
@@ -250,11 +236,11 @@ class StoredProblem(CorrectedProblem):
         up, down = (of.largest(np.where(massive, each, -np.inf)) for each in (moved, -moved))
         return np.maximum(up - mean, down + mean)
 
-    def clip_to_trust_region(self, f: Array, epsilon: float) -> Array:
-        """Return the nearest potentials to f for which the stored pairs are trusted."""
+    def held(self, f: Array, epsilon: float) -> tuple[Array, bool]:
+        """Return the nearest trusted potentials to f, and whether f itself is not trusted."""
         moved = f - self.center - self._mean_move(f)
         radius = self.trust_radius * epsilon
-        return f + np.clip(moved, -radius, radius) - moved
+        return f + np.clip(moved, -radius, radius) - moved, bool(self.farthest(f) > radius)
 
     def _mean_move(self, f: Any) -> Any:
         """Return the mean by mass of f minus the center: a shift of all potentials moves none."""
@@ -276,36 +262,32 @@ def stored_grid(
     T(f).
     """
     near = problem.to_rows.near, problem.to_columns.near
+    potentials, sides = (f, g), range(2)
+    # Logarithms of the marginals, above shares of which pairs are stored.
+    wholes = [
+        (potentials[side] - softmins[side]) / epsilon + problem.logarithms[side] for side in sides
+    ]
     for choice in choices:
         by_row, by_column = (
-            _threshold(potential, softmin, log_weights, epsilon, choice.share)
-            for potential, softmin, log_weights in (
-                (f, softmins[0], problem.log_a), (g, softmins[1], problem.log_b)
-            )
-        )  # fmt: skip
+            np.where(np.isneginf(each), np.inf, each + np.log(choice.share)) for each in wholes
+        )
         stored = problem.operations.store_pairs(
             problem.rows, problem.columns, f, g, epsilon, by_row, by_column, most, near
         )
         if stored is None:
             continue
-        of_rows, of_columns = stored.orders
-        a, b = problem.a[of_rows], problem.b[of_columns]
-        own_f, own_g = f[of_rows], g[of_columns]
-        t_rows, t_columns = softmins[0][of_rows], softmins[1][of_columns]
-        starts = (f + epsilon * problem.log_a)[of_rows], (g + epsilon * problem.log_b)[of_columns]
-        to_rows = StoredSoftmin(problem.to_rows, stored, False, (a, b), own_g, t_rows, starts[0])
-        to_columns = StoredSoftmin(
-            problem.to_columns, stored, True, (b, a), own_f, t_columns, starts[1]
-        )
-        plan_mass = float(problem.row_mass(f, softmins[0], epsilon).sum())
+        orders = stored.orders
+        masses = problem.a[orders[0]], problem.b[orders[1]]
+        own = [potentials[side][orders[side]] for side in sides]
+        to_rows, to_columns = (
+            StoredSoftmin(
+                problem.softmins[side], stored, side == 1, (masses[side], masses[1 - side]),
+                own[1 - side], softmins[side][orders[side]],
+                (potentials[side] + epsilon * problem.logarithms[side])[orders[side]],
+            )
+            for side in sides
+        )  # fmt: skip
+        plan_mass = float(problem.marginal(0, f, softmins[0], epsilon).sum())
         smaller = StoredProblem(problem, (to_rows, to_columns), choice, plan_mass, epsilon)
-        return CoarseGrid(smaller, Reordering(of_rows), Reordering(of_columns), to_columns)
+        return CoarseGrid(smaller, Reordering(orders[0]), Reordering(orders[1]), to_columns)
     return None
-
-
-def _threshold(
-    potential: Array, softmin: Array, log_weights: Array, epsilon: float, share: float
-) -> Array:
-    """Return log pi_ij above which pairs of a row are stored, infinite for rows without mass."""
-    thresholds = (potential - softmin) / epsilon + log_weights + np.log(share)
-    return np.where(np.isneginf(thresholds), np.inf, thresholds)

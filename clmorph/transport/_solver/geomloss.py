@@ -31,8 +31,8 @@ def run(
 
     def both(f: Array, g: Array, epsilon: float) -> tuple[Array, Array]:
         source, target = problem.damping(epsilon)
-        new_f = source * problem.softmin_rows(g, epsilon, precise)
-        return new_f, target * problem.softmin_columns(f, epsilon, precise)
+        new_f = source * problem.softmin(0, g, epsilon, precise)
+        return new_f, target * problem.softmin(1, f, epsilon, precise)
 
     f, g = np.zeros(len(problem.a)), np.zeros(len(problem.b))
     f, g = both(f, g, schedule[0] ** 2)

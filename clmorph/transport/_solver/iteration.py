@@ -6,6 +6,7 @@ the plain half-step by more than rounding explains: the limit is that of the pla
 Numbers of one problem are arrays of many (`_solver.reductions`), which step together.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from clmorph._shared.progress import Share
 from clmorph._shared.typing import Array, IntArray
-from clmorph.transport._solver.batch import some
+from clmorph.transport._solver.batch import one_of, some
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.state import (
     ROUNDING_MARGIN,
@@ -107,22 +108,29 @@ class Iteration:
         """Iterations of each problem so far."""
         return np.asarray(-(-self.n_softmin // self._softmins))
 
+    @functools.cached_property
     def histories(self) -> list[Array]:
-        """Return the residuals of each of many problems after each of its iterations."""
+        """The residuals of each problem after each of its iterations, once all have ended."""
         numbers, values = (
-            np.concatenate([record[part][record[1]] for record in self._records]) for part in (0, 2)
-        )
+            np.concatenate([
+                np.atleast_1d(record[part])[np.atleast_1d(record[1])] for record in self._records
+            ])
+            for part in (0, 2)
+        )  # fmt: skip
         order = np.argsort(numbers, kind="stable")
         ends = np.cumsum(np.bincount(numbers, minlength=len(self.n_softmin)))
         return np.split(values[order], ends[:-1])
 
-    def alone(self) -> Outcome:
-        """Return the result of one problem."""
+    def outcome(self, number: int = 0) -> Outcome:
+        """Return the result of a problem."""
+        rows, columns = self.problem.reductions
+        f, t_rows = (rows.part(each, number).copy() for each in (self.f, self.t_rows))
+        g, t_columns = (columns.part(each, number).copy() for each in (self.g, self.t_columns))
         return Outcome(
-            self.problem, self.tol, self.precision,
-            State(self.f, self.g, self.t_rows, self.t_columns, float(self.residual[0])),
-            self.status[0], [float(residual) for *_, residual in self._records],
-            int(self.n_softmin[0]), self._softmins, float(self.rounding[0]), bool(self.precise[0]),
+            one_of(self.problem, number, self.roundoffs[:, number]), self.tol, self.precision,
+            State(f, g, t_rows, t_columns, float(self.residual[number])), self.status[number],
+            self.histories[number].tolist(), int(self.n_softmin[number]), self._softmins,
+            float(self.rounding[number]), bool(self.precise[number]),
         )  # fmt: skip
 
     def run(self, start: Array | None = None) -> None:
@@ -214,9 +222,9 @@ class Iteration:
         if self._certify:
             t_rows, t_columns = problem.bounded_softmins(f, g, epsilon)
         else:
-            t_rows = problem.softmin_rows(g, epsilon, precise)
+            t_rows = problem.softmin(0, g, epsilon, precise)
             if precise != before:
-                t_columns = problem.softmin_columns(f, epsilon, precise)
+                t_columns = problem.softmin(1, f, epsilon, precise)
         residual = problem.residual(f, g, t_rows, t_columns, epsilon)
         self._records.append((numbers, np.ones(len(numbers), bool), residual))
         self.t_rows[rows], self.t_columns[columns] = t_rows, t_columns
@@ -233,7 +241,7 @@ class Iteration:
         """Return by how much T(g) changes with precise exponents, in units of epsilon."""
         problem = some(self.problem, numbers)
         g = np.array(self.g[self.problem.of_columns.points_of(numbers)])
-        coarse, fine = (problem.softmin_rows(g, epsilon, each) for each in (False, True))
+        coarse, fine = (problem.softmin(0, g, epsilon, each) for each in (False, True))
         change = np.where(problem.a > 0, np.abs(coarse - fine), 0.0)
         return np.atleast_1d(problem.of_rows.largest(change)) / epsilon
 

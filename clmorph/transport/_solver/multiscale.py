@@ -229,7 +229,7 @@ class Multiscale(Outcome):
             "auto" if precise else "float32", ignore, certify=False,
         )  # fmt: skip
         iteration.run(g)
-        return iteration.alone().state
+        return iteration.outcome().state
 
     def _iterate_points(self, tol: float, g: Array, last: bool) -> Outcome:
         """Continue from potentials g with iterations over the points alone, to a residual."""
@@ -241,7 +241,7 @@ class Multiscale(Outcome):
             certify=last, n_softmin=self.n_softmin,
         )  # fmt: skip
         iteration.run(g)
-        found = iteration.alone()
+        found = iteration.outcome()
         self.n_softmin = found.n_softmin
         # The last one is measured again, unless this is the end.
         self.residuals += found.residuals[: None if last else -1]
@@ -260,9 +260,9 @@ class Multiscale(Outcome):
             precise = self.precise and before <= SWITCH * coarse
             # The iteration that is likely to be the last one computes what a certificate needs.
             last = expected <= self.tol
-            t_rows = problem.softmin_rows(g, epsilon, precise, last)
+            t_rows = problem.softmin(0, g, epsilon, precise, last)
             f, g, t_rows, _ = problem.half_step(0, g, t_rows, epsilon)
-            t_columns = problem.softmin_columns(f, epsilon, precise, last)
+            t_columns = problem.softmin(1, f, epsilon, precise, last)
             self.n_softmin += 2
             residual = problem.residual(f, g, t_rows, t_columns, epsilon)
             self.state = State(f, g, t_rows, t_columns, residual)
@@ -316,21 +316,22 @@ class Multiscale(Outcome):
         epsilon, coarse = self._blur**2, grid.problem
         f, g, t_rows, t_columns, residual = self.state
         own_f = grid.source.restrict(f, self.problem.a)
-        coarse.center_trust_region(own_f)
         own_g = grid.target.restrict(g, self.problem.b)
         coarse.correct(
             grid.source.restrict(t_rows, self.problem.a) - coarse.to_rows(own_g, epsilon),
             grid.target.restrict(t_columns, self.problem.b) - coarse.to_columns(own_f, epsilon),
             epsilon,
         )
-        stored = isinstance(coarse, StoredProblem)
-        floor = (CYCLE_FLOOR if stored else self._floor) * self.tol
-        tol = max(CYCLE_SHARE * residual, floor)
-        if stored and tol <= ALMOST * self.tol:
-            tol = floor
+        if isinstance(coarse, StoredProblem):
+            coarse.center, floor = own_f, CYCLE_FLOOR * self.tol
+            tol = max(CYCLE_SHARE * residual, floor)
+            tol = floor if tol <= ALMOST * self.tol else tol
+        else:
+            tol = max(CYCLE_SHARE * residual, self._floor * self.tol)
         solved = self._solve_grid(grid, grid.target.restrict(image, self.problem.b), tol)
-        left = coarse.outside_trust_region(solved.f, epsilon)
-        new_f = coarse.clip_to_trust_region(solved.f, epsilon)
+        new_f, left = solved.f, False
+        if isinstance(coarse, StoredProblem):
+            new_f, left = coarse.held(solved.f, epsilon)
         change = grid.prolong(new_f, own_f, epsilon)
         return self.problem.damping(epsilon)[1] * (t_columns + change), solved.residual, left
 

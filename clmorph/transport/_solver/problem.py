@@ -60,8 +60,6 @@ class Problem:
         self.operations: Operations = to_rows.operations
         self.rows, self.columns = to_rows.rows, to_rows.columns
         self.a, self.b = weights
-        with np.errstate(divide="ignore"):
-            self.log_a, self.log_b = np.log(self.a), np.log(self.b)
         self.of_rows, self.of_columns = self.reductions = reductions
         self.rho, self.largest_cost = rho, largest_cost
         #: Bounds of |C_ij - C_kj| over rows i, k, and of |C_ij - C_il| over columns j, l.
@@ -69,7 +67,7 @@ class Problem:
         #: 1 / rho, 0 if balanced: with it one infinite rho is harmless.
         source, target = (0.0 if np.isinf(value) else 1.0 / value for value in rho)
         self.inverse_rho = source, target
-        self.masses = self.of_rows.sum(self.a), self.of_columns.sum(self.b)
+        self._weigh()
         self._resident: ResidentIteration | None = None
         self._asked = False
 
@@ -122,14 +120,21 @@ class Problem:
             oscillations=self.oscillations,
         )  # fmt: skip
 
+    def _weigh(self) -> None:
+        """Compute what follows from the masses."""
+        with np.errstate(divide="ignore"):
+            self.logarithms = np.log(self.a), np.log(self.b)
+        self.masses = self.of_rows.sum(self.a), self.of_columns.sum(self.b)
+
+    @property
+    def softmins(self) -> tuple[Any, Any]:
+        """The operators that compute T(g) and T(f)."""
+        return self.to_rows, self.to_columns
+
     @property
     def truncation(self) -> float | None:
         """Nats by which a log-sum-exp may be too small; None if all pairs are summed."""
         return self.to_rows.truncation
-
-    def outside_trust_region(self, f: Array, epsilon: float) -> Any:
-        """Return whether potentials f, (N,), are outside the region where this problem is valid."""
-        return self.farthest(f) > self.trust_radius * epsilon
 
     def farthest(self, f: Any) -> Any:
         """Return how far potentials have moved in this region, cost units; 0 without a region."""
@@ -140,25 +145,21 @@ class Problem:
         source, target = (1.0 / (1.0 + epsilon * inverse) for inverse in self.inverse_rho)
         return source, target
 
-    def softmin_rows(self, g: Array, epsilon: float, precise: bool, bounded: bool = False) -> Array:
-        """Return T(g), (N,) array; flags as in `Softmin` (paper, 3.1; math: softmin)."""
-        return self.to_rows(g, epsilon, precise, bounded or self.exact_sums)
-
-    def softmin_columns(
-        self, f: Array, epsilon: float, precise: bool, bounded: bool = False
+    def softmin(
+        self, side: int, old: Array, epsilon: float, precise: bool, bounded: bool = False
     ) -> Array:
-        """Return T(f), (M,) array; flags as in `Softmin` (paper, 3.1; math: softmin)."""
-        return self.to_columns(f, epsilon, precise, bounded or self.exact_sums)
+        """Return T(g), (N,), for side 0, or T(f), (M,), for side 1; flags as in `Softmin`."""
+        return self.softmins[side](old, epsilon, precise, bounded or self.exact_sums)
 
     @property
     def left_out(self) -> float:
         """Nats by which pairs left out can make the sums of the last softmins too small."""
-        return max(self.to_rows.left_out, self.to_columns.left_out)
+        return max(each.left_out for each in self.softmins)
 
     @property
     def error(self) -> float:
         """Bound, in nats, of all errors in the sums of the last softmins, if they are bounded."""
-        return max(side.left_out + side.roundoff for side in (self.to_rows, self.to_columns))
+        return max(each.left_out + each.roundoff for each in self.softmins)
 
     @property
     def visited(self) -> float:
@@ -167,11 +168,8 @@ class Problem:
 
     def rounding(self, epsilon: float, precise: bool) -> Any:
         """Return the largest effect of rounding on a softmin, in nats."""
-        kind = epsilon, precise, self.exact_sums
-        return self.of_rows.larger(
-            self.to_rows.rounding(self.largest_cost, *kind),
-            self.to_columns.rounding(self.largest_cost, *kind),
-        )
+        kind = self.largest_cost, epsilon, precise, self.exact_sums
+        return self.of_rows.larger(*(each.rounding(*kind) for each in self.softmins))
 
     def half_step(
         self, side: int, old: Array, softmin: Array, epsilon: float, before: Any = None
@@ -189,7 +187,7 @@ class Problem:
         own, other = self.reductions[side], self.reductions[1 - side]
         if new_rate + old_rate == 0.0:
             return HalfStep(softmin, old, softmin, np.log(self.masses[side]))
-        logarithms = self.log_a, self.log_b
+        logarithms = self.logarithms
         if before is None:
             before = log_sum_exp(other, logarithms[1 - side] - old * old_rate)
         after = log_sum_exp(own, logarithms[side] - softmin * new_rate)
@@ -218,8 +216,8 @@ class Problem:
 
     def settle(self, residual: Any) -> None:
         """Let the softmins know the residual that was reached; see `Softmin.settle`."""
-        self.to_rows.settle(residual)
-        self.to_columns.settle(residual)
+        for each in self.softmins:
+            each.settle(residual)
 
     def residual(self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float) -> Any:
         """Return max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon over points of positive mass.
@@ -240,13 +238,10 @@ class Problem:
             residuals.append(residual)
         return self.of_rows.larger(*residuals)
 
-    def row_mass(self, f: Array, t_rows: Array, epsilon: float) -> Array:
-        """Return the first marginal of the plan of (f, g), given T(g) (math: plan, Eq. 2)."""
-        return marginal(self.a, self.log_a, f, t_rows, epsilon)
-
-    def column_mass(self, g: Array, t_columns: Array, epsilon: float) -> Array:
-        """Return the second marginal of the plan of (f, g), given T(f) (math: plan, Eq. 2)."""
-        return marginal(self.b, self.log_b, g, t_columns, epsilon)
+    def marginal(self, side: int, potential: Array, softmin: Array, epsilon: float) -> Array:
+        """Return a marginal of the plan of (f, g), given T of the other (math: plan, Eq. 2)."""
+        weights = self.a if side == 0 else self.b
+        return marginal(weights, self.logarithms[side], potential, softmin, epsilon)
 
     def dual(self, f: Array, g: Array, plan_mass: Any, epsilon: float, enough: Any = 0.0) -> Any:
         """Return D(f, g) without its constant epsilon m_a m_b, given its plan's mass (paper, 2.1).
@@ -257,10 +252,8 @@ class Problem:
         """
         value = -epsilon * plan_mass
         of: Any
-        for of, potential, weights, inverse, mass in (
-            (self.of_rows, f, self.a, self.inverse_rho[0], self.masses[0]),
-            (self.of_columns, g, self.b, self.inverse_rho[1], self.masses[1]),
-        ):
+        sides = (f, g), (self.a, self.b), self.inverse_rho, self.masses
+        for of, potential, weights, inverse, mass in zip(self.reductions, *sides, strict=True):
             if not inverse:
                 value = value + of.inner(weights, potential)
             else:
@@ -280,18 +273,17 @@ class Problem:
         self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
     ) -> Certificate:
         """Return the certificate of (f, g), given `bounded_softmins` computed last."""
-        return certify(*self._sides(f, g, t_rows, t_columns), epsilon)
+        rows, columns = self._sides(f, g, t_rows, t_columns)
+        return certify(rows, columns, epsilon)
 
-    def _sides(self, f: Array, g: Array, t_rows: Array, t_columns: Array) -> tuple[Side, Side]:
-        rows = Side(
-            self.a, self.log_a, f, t_rows, self.inverse_rho[0],
-            self.to_rows.left_out, self.to_rows.roundoff, self.oscillations[0],
-        )  # fmt: skip
-        columns = Side(
-            self.b, self.log_b, g, t_columns, self.inverse_rho[1],
-            self.to_columns.left_out, self.to_columns.roundoff, self.oscillations[1],
-        )  # fmt: skip
-        return rows, columns
+    def _sides(self, f: Array, g: Array, t_rows: Array, t_columns: Array) -> list[Side]:
+        return [
+            Side(weights, logarithms, potential, softmin, inverse, to.left_out, to.roundoff, across)
+            for weights, logarithms, potential, softmin, inverse, to, across in zip(
+                (self.a, self.b), self.logarithms, (f, g), (t_rows, t_columns), self.inverse_rho,
+                self.softmins, self.oscillations, strict=True,
+            )
+        ]  # fmt: skip
 
 
 def uploaded(operations: Operations, measure: AnyMeasure) -> Any:

@@ -82,8 +82,8 @@ def take_step(
     """
     new, old, softmin, log_mass = problem.half_step(side, old, softmin, epsilon, before)
     f, g = (new, old) if side == 0 else (old, new)
-    marginal_of, closed = (problem.row_mass, problem.column_mass)[side], np.any(enough)
-    marginal: Any = None if closed and side == 0 else marginal_of(new, softmin, epsilon)
+    closed = np.any(enough)
+    marginal: Any = None if closed and side == 0 else problem.marginal(side, new, softmin, epsilon)
     mass: Any = np.exp(np.minimum(log_mass, MAX_EXPONENT))
     if not closed:
         mass = problem.reductions[side].sum(marginal)
@@ -109,7 +109,7 @@ class HostSteps:
 
     def update_rows(self) -> tuple[Any, Any]:
         problem, epsilon, self._back = self._problem, self._epsilon, np.False_
-        softmin = problem.softmin_rows(self._g, epsilon, self._precise)
+        softmin = problem.softmin(0, self._g, epsilon, self._precise)
         self._rows = take_step(problem, 0, self._g, softmin, epsilon, self._enough)
         return self._rows.mass, self._rows.dual
 
@@ -119,7 +119,7 @@ class HostSteps:
 
     def update_columns(self) -> tuple[Any, Any, Any]:
         problem, rows, epsilon = self._problem, self._rows, self._epsilon
-        softmin = problem.softmin_columns(rows.f, epsilon, self._precise)
+        softmin = problem.softmin(1, rows.f, epsilon, self._precise)
         own = self._columns = take_step(
             problem, 1, rows.f, softmin, epsilon, self._enough, rows.log_mass
         )

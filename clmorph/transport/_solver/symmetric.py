@@ -50,7 +50,7 @@ class SymmetricSteps(Steps):
         self._f, self._epsilon, self._precise = g, epsilon, precise
 
     def update_rows(self) -> tuple[Any, Any]:
-        self._softmin = self._problem.softmin_rows(self._f, self._epsilon, self._precise)
+        self._softmin = self._problem.softmin(0, self._f, self._epsilon, self._precise)
         return self._problem.masses[0], 0.0
 
     def update_columns(self) -> tuple[Any, Any, Any]:
