@@ -8,9 +8,10 @@ most registers of a work-item, bytes of it that are spilled or lie in memory, an
 memory of a work-group, of all variants. The exit code is 1 where a kernel passes its limits, or has
 none. ``--renew`` writes the table: registers in steps of 8, because compilers differ by a few.
 
-The table also has the most slots of the innermost loops of the dense log-sum-exp, for a pair of
-points, which bound its speed: instructions on NVIDIA's cards, vector instructions on AMD's. The
-first loop is over tiles that cannot raise the maximum, the second over all others.
+The table also has what the innermost loops of the dense log-sum-exp take for a pair of points, by
+which its speed is bounded: slots, which are instructions on NVIDIA's cards and vector instructions
+on AMD's, without and with a running maximum (the first loop is over tiles that cannot raise it),
+and words that are read from local memory.
 
 ptxas and nvdisasm come with CUDA, and in the wheels nvidia-cuda-nvcc-cu12 and nvidia-cuda-nvdisasm.
 """
@@ -50,8 +51,12 @@ METADATA = re.compile(
 
 #: Instructions for powers of two.
 POWERS = "MUFU.EX2", "v_exp_f32"
+#: Reads of local memory, with the bits of each; 32 by default.
+LOCAL_READS = re.compile(r"(?:LDS|ds_(?:read|load)_b)\.?(\d*)\b")
 #: The variant whose slots are counted.
 DENSE = Variant("log_sum_exp.cl", 5)
+#: What `slots` counts.
+LOOP_WORDS = "slots below the maximum", "slots with a running maximum", "words from local memory"
 #: Registers, bytes spilled or in memory, and bytes of local memory.
 Numbers = tuple[int, int, int]
 
@@ -72,19 +77,25 @@ def measure(target: str, variant: Variant) -> dict[str, Numbers]:
     }
 
 
-def slots(target: str) -> tuple[float, float]:
-    """Return the slots of `DENSE` for a pair of points, without and with the running maximum."""
+def slots(target: str) -> tuple[float, float, float]:
+    """Return what `DENSE` takes for a pair of points.
+
+    It is slots without and with the running maximum, and the most words from local memory.
+    """
     constants = gpu_constants(256)
     rows = constants.width * DENSE.stacks(constants)
-    found = []
+    found, words = [], 0.0
     for loop, rescaled in zip(innermost(_compiled(target, DENSE, True)[0]), (0, 1), strict=True):
         powers = sum(power in line for line in loop for power in POWERS)
         # Beside a power for each pair there is one for each row, by which its sum is rescaled.
         rounds, rest = divmod(powers, rows * (constants.unroll + rescaled))
         assert (rounds > 0, rest) == (True, 0), f"{target}: {powers} powers in an innermost loop"
         counted = loop if target in NVIDIA else [line for line in loop if line.startswith("v_")]
-        found.append(len(counted) / (rounds * rows * constants.unroll))
-    return found[0], found[1]
+        pairs = rounds * rows * constants.unroll
+        found.append(len(counted) / pairs)
+        reads = [int(bits or 32) for line in loop for bits in LOCAL_READS.findall(line)]
+        words = max(words, sum(reads) / 32 / pairs)
+    return found[0], found[1], words
 
 
 def innermost(text: str) -> list[list[str]]:
@@ -170,7 +181,10 @@ def main() -> int:
     if "--renew" in sys.argv[1:]:
         lines = [
             "[slots]",
-            *(f"{target} = [{below:.2f}, {n:.2f}]" for target, (below, n) in of_loop.items()),
+            *(
+                f"{target} = [{below:.2f}, {running:.2f}, {words:.2f}]"
+                for target, (below, running, words) in of_loop.items()
+            ),
         ]
         for target, kernels in found.items():
             lines.append(f"\n[{target}]")
@@ -182,9 +196,9 @@ def main() -> int:
     most = limits.pop("slots")
     said = complaints(found, limits)
     said += [
-        f"{target}: {DENSE} takes {n:.2f} slots a pair {loop} maximum; the limit is {limit}"
+        f"{target}: {DENSE} takes {n:.2f} {word} a pair; the limit is {limit}"
         for target, found in of_loop.items()
-        for loop, n, limit in zip(("below the", "with a running"), found, most[target], strict=True)
+        for word, n, limit in zip(LOOP_WORDS, found, most[target], strict=True)
         if n > limit + 0.05
     ]
     print("\n".join(said) or f"{sum(map(len, found.values()))} kernels are within their limits")

@@ -1,11 +1,13 @@
 """Kernels for graphics cards stay within the table of registers and memory."""
 
 import tomllib
+from dataclasses import replace
 
 import kernel_limits
 import pytest
 from programs import program
 
+from clmorph.backends.opencl.build.constants import gpu_constants
 from clmorph.backends.opencl.build.variants import KERNELS, Variant
 
 LIMITS = tomllib.loads(kernel_limits.TABLE.read_text(encoding="utf-8"))
@@ -37,3 +39,20 @@ def test_limits_of_slots_are_those_promised():
     assert SLOTS["sm_90"][0] <= 10
     assert SLOTS["sm_90"][1] <= 11.5
     assert SLOTS["gfx90a"][0] <= SLOTS["gfx90a"][1] <= 10
+    assert max(words for *_, words in SLOTS.values()) <= 1.5
+
+
+def test_nothing_is_spilled_on_cards():
+    """The second number of each kernel is of bytes that are spilled or lie in memory."""
+    assert {numbers[1] for kernels in LIMITS.values() for numbers in kernels.values()} == {0}
+
+
+@pytest.mark.parametrize("target", kernel_limits.AMD)
+def test_what_a_pair_takes_is_counted(target, monkeypatch):
+    """From the loops that clang makes; with half as many rows a work-item reads twice as much."""
+    monkeypatch.setattr(kernel_limits, "CLANG", [program("clang"), *kernel_limits.CLANG[1:]])
+    found = kernel_limits.slots(target)
+    assert all(n <= most + 0.05 for n, most in zip(found, SLOTS[target], strict=True))
+    fewer = replace(gpu_constants(256), rows=2)
+    monkeypatch.setattr(kernel_limits, "gpu_constants", lambda _: fewer)
+    assert kernel_limits.slots(target)[2] == pytest.approx(2 * found[2])
