@@ -148,6 +148,18 @@ def test_apples_processor_gets_work_groups_of_one():
     assert constants.file_macros("gauss_transform.cl")["MOMENT_GROUP"] == 1
 
 
+@pytest.mark.parametrize(("lanes", "width"), [(16, 1), (8, 8), (4, 4)])
+def test_pips_pocl_has_vectors_that_its_compiler_takes(lanes, width):
+    """It hangs on 16 lanes."""
+    old = handle(
+        platform=POCL, max_work_group_size=4096, native_vector_width_float=lanes,
+        local_mem_size=1 << 19, extensions="cl_khr_fp64",
+    )  # fmt: skip
+    assert choose_constants(old).width == lanes
+    old.platform.version = "OpenCL 3.0 PoCL 3.0-rc2  Linux, Release, RELOC, LLVM 14.0.6"
+    assert choose_constants(old).width == width
+
+
 def test_the_search_ends_at_the_first_usable_device(pretend):
     first, second, third = handle(platform=INTEL), handle(platform=POCL), handle(platform="Else")
     asked = pretend(third, second, first, broken=[first])

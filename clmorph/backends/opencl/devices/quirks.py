@@ -21,7 +21,7 @@ QUIRKS = {
     "inexact_exp2": "the built-in exp2 is off by more than a few units: a polynomial instead",
     "small_local_memory": "under 8 KiB of local memory: tiles of 16 points",
     "short_loops": f"loops end after {LONGEST_LOOP} rounds in all, in silence: shorter launches",
-    "no_vectors": "the compiler of PoCL 3.0 from pip crashes or hangs on vectors: scalars",
+    "no_vectors": "the compiler of PoCL 3.0 from pip crashes or hangs on 16 lanes: scalars",
     "slow_float64": "measured to be slower in double precision than in sums of two float32: these",
     "no_float64": "no double precision: precise exponents are sums of two float32",
 }
@@ -30,8 +30,9 @@ QUIRKS = {
 INEXACT_EXP2: tuple[str, ...] = ()
 #: Parts of the names, in lower case, of devices that end long loops.
 SHORT_LOOPS = ("llvmpipe",)
-#: Parts of the versions, in lower case, of platforms whose compiler fails on vectors.
-NO_VECTORS = ("pocl 3.0-rc2",)
+#: Parts of the versions, in lower case, of platforms whose compiler fails on vectors where it
+#: announces more lanes than this.
+NO_VECTORS, VECTORS_TO = ("pocl 3.0-rc2",), 8
 
 
 def find_quirks(device: cl.Device) -> frozenset[str]:
@@ -43,7 +44,8 @@ def find_quirks(device: cl.Device) -> frozenset[str]:
         found |= {"inexact_exp2"}
     if any(part in device.name.lower() for part in SHORT_LOOPS):
         found |= {"short_loops"}
-    if any(part in device.platform.version.lower() for part in NO_VECTORS):
+    wide = device.native_vector_width_float > VECTORS_TO
+    if wide and any(part in device.platform.version.lower() for part in NO_VECTORS):
         found |= {"no_vectors"}
     if device.local_mem_size < 8192:
         found |= {"small_local_memory"}
