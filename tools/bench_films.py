@@ -21,6 +21,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from benching import line, print_head
 from picture_pairs import DEFORMATIONS, FILM_PAIRS, Picture, deformed, picture, psnr
 from PIL import Image
 from rich.console import Console
@@ -37,8 +38,6 @@ FRAMES, FLICKER_FRAMES = 9, 49
 LITTLE_GHOST = 0.03
 #: Share of the wipe's time in which one region changes hands.
 SOFTNESS = 0.1
-
-
 #: Ghosts of 0.2.0, at other sizes and cuts of the same photographs.
 BEFORE = {"astronaut, cat": 0.44, "coffee, rocket": 0.30, "astronaut, camera": 0.40}
 #: Pictures that are alike in place.
@@ -129,7 +128,7 @@ def row(pair: str, name: str, found: FilmMeasures) -> str:
         f"{low_band(found):.1f}", spaced(found.relative_sharpness), spaced(found.relative_crumbs),
         f"{found.unevenness:.2f}", "" if found.flicker is None else f"{found.flicker:.2f}",
     ]  # fmt: skip
-    return f"| {' | '.join(cells)} |"
+    return line(*cells)
 
 
 def is_judged_by_ghost(pair: str) -> bool:
@@ -160,7 +159,7 @@ def mean_row(name: str, measured: dict[str, FilmMeasures]) -> str:
         f"{np.mean([found.unevenness for found in every]):.2f}",
         f"{np.mean(flickers):.2f}" if flickers else "",
     ]  # fmt: skip
-    return f"| {' | '.join(cells)} |"
+    return line(*cells)
 
 
 def judge_deformed(name: str, seed: int, device: str) -> str:
@@ -176,7 +175,7 @@ def judge_deformed(name: str, seed: int, device: str) -> str:
     gains = [psnr(middle, truth) - quality for middle in middles]
     ghosts = [ghost(frame, first, last) for frame in (middles[0], truth, fade)]
     cells = [f"{gain:+.1f}" for gain in gains] + [f"{each:.3f}" for each in ghosts]
-    return f"| {name} deformed {seed} | {quality:.1f} | {' | '.join(cells)} |"
+    return line(f"{name} deformed {seed}", f"{quality:.1f}", *cells)
 
 
 def main() -> None:
@@ -197,15 +196,15 @@ def main() -> None:
     count = FLICKER_FRAMES if options.flicker else FRAMES
     terminal = Console(stderr=True)
     measured: dict[str, dict[str, FilmMeasures]] = {name: {} for name in FILMS}
-    print(
-        "| pair | film | ghost | absolute | share | low band | sharp | crumbs | uneven | flicker |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    print_head(
+        "pair", "film", "ghost", "absolute", "share", "low band", "sharp", "crumbs", "uneven",
+        "flicker",
+    )  # fmt: skip
     for pair in track(pairs, "pairs", console=terminal, transient=True):
         try:
             ends = FILM_PAIRS[pair]()
         except ImportError as error:
-            print(f"| {pair} | left out: {error} |" + 8 * " |", flush=True)
+            print(line(pair, f"left out: {error}", *8 * [""]), flush=True)
             continue
         made = films(ends, count, options.device)
         for name, film in made.items():
@@ -217,10 +216,10 @@ def main() -> None:
     for name in FILMS if measured["film"] else ():
         print(mean_row(name, measured[name]))
     if deformations:
-        print(
-            "\n| pair | cross-fade, dB | film | particles | ghost | true middle's | cross-fade's |"
+        print()
+        print_head(
+            "pair", "cross-fade, dB", "film", "particles", "ghost", "true middle's", "cross-fade's"
         )
-        print("|---|---|---|---|---|---|---|")
     for name, seed in track(deformations, "deformed", console=terminal, transient=True):
         print(judge_deformed(name, seed, options.device), flush=True)
 

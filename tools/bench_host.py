@@ -17,6 +17,7 @@ from unittest import mock
 
 import numpy as np
 import pyopencl as cl
+from benching import line, print_head
 from count_transfers import TransferCount
 
 import clmorph
@@ -83,10 +84,11 @@ def main() -> None:
     parser.add_argument("--points", nargs="+", type=int, default=[256, 1024, 4096])
     parser.add_argument("--repeats", type=int, default=12, help="the number of timed solves")
     options = parser.parse_args()
-    print("| device | points | solve, ms | softmins, ms | all kernels, ms | softmins", end="")
-    print(" | host per softmin, ms | main thread outside waits, ms", end="")
-    print(" | launches | waits | bytes read | bytes written |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
+    print_head(
+        "device", "points", "solve, ms", "softmins, ms", "all kernels, ms", "softmins",
+        "host per softmin, ms", "main thread outside waits, ms", "launches", "waits", "bytes read",
+        "bytes written",
+    )  # fmt: skip
     for name in options.devices:
         operations = clmorph.get_backend(name)
         assert isinstance(operations, OpenCLOperations), f"{name} is no OpenCL device"
@@ -108,14 +110,12 @@ def main() -> None:
             timed = [kernel_seconds(operations, solve) for _ in range(repeats)]
             own, kernels = (min(each) for each in zip(*timed, strict=True))
             moved = [count.n_bytes(kind) / softmins for kind in ("read", "write")]
-            print(
-                f"| {name} | {n} | {1e3 * wall:.1f} | {1e3 * own:.1f} | {1e3 * kernels:.1f} | "
-                f"{softmins} | "
-                f"{1e3 * (wall - kernels) / softmins:.3f} | {1e3 * outside:.1f} | "
-                f"{count.n_launches / softmins:.2f} | "
-                f"{count.n_waits / softmins:.2f} | {moved[0]:.0f} | {moved[1]:.0f} |",
-                flush=True,
-            )
+            print(line(
+                name, n, f"{1e3 * wall:.1f}", f"{1e3 * own:.1f}", f"{1e3 * kernels:.1f}", softmins,
+                f"{1e3 * (wall - kernels) / softmins:.3f}", f"{1e3 * outside:.1f}",
+                f"{count.n_launches / softmins:.2f}", f"{count.n_waits / softmins:.2f}",
+                f"{moved[0]:.0f}", f"{moved[1]:.0f}",
+            ), flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -4,10 +4,8 @@ The shapes, as even densities on a grid, stand in the corners of a triangle. Bet
 debiased barycenters with a fixed support, by the weights of the places. Dark is much mass.
 """
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from drawing import parser
 from drawn_pictures import logo
 from PIL import Image
 
@@ -32,10 +30,7 @@ def panel(density: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("output", type=Path)
-    parser.add_argument("--device", default="auto")
-    given = parser.parse_args()
+    given = parser(__doc__).parse_args()
     backend = clmorph.get_backend(given.device)
     shapes = densities()
     cells = clmorph.density(np.ones((SIDE, SIDE))).points

@@ -4,10 +4,8 @@ Both clips are windows that move over a photograph. ``--changes`` prints the mea
 frame to the next, of 255, with a star where the transport was solved.
 """
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from drawing import parser
 from PIL import Image
 from skimage import data
 
@@ -28,11 +26,9 @@ def clip(name: str, size: tuple[int, int], step: int) -> list[np.ndarray]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--changes", action="store_true")
-    given = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--changes", action="store_true")
+    given = options.parse_args()
     film = list(
         clmorph.morph_clip(
             *(clip(*each) for each in CLIPS), duration=SECONDS, fps=RATE, every=STEP / RATE,

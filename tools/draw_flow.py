@@ -6,14 +6,12 @@ colors of another one, which stands at the end of the row. Each step moves a poi
 -rate / a_i times the derivative of the divergence by x_i.
 """
 
-import argparse
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
+from drawing import parser, square
 from drawn_pictures import logo
 from PIL import Image
-from skimage import data
 
 import clmorph
 
@@ -27,18 +25,7 @@ RATE = 0.25
 def flow(
     points: np.ndarray, target: np.ndarray, blur: float, steps: int, backend
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """Yield points before every step of a gradient flow to those of a target, and the divergence.
-
-    Parameters
-    ----------
-    points, target : (N, D) and (M, D) arrays
-        Each point of a side has the same weight.
-    blur : float
-        In the unit of the points.
-    steps : int
-    backend
-        See `clmorph.get_backend`.
-    """
+    """Yield points (N, D) before every step of a flow to those of a target, and the divergence."""
     weights = np.full(len(points), 1 / len(points))
     theirs = np.full(len(target), 1 / len(target))
     for _ in range(steps + 1):
@@ -80,15 +67,10 @@ def points_row(backend) -> np.ndarray:
     return np.hstack([*panels, panel(target, np.full((COUNT, 3), 0.35))])
 
 
-def square(image: np.ndarray, left: int, top: int, side: int) -> np.ndarray:
-    """Return a square of a photograph, reduced: (PHOTO, PHOTO, 3), from 0 to 1."""
-    cut = Image.fromarray(image[top : top + side, left : left + side])
-    return np.asarray(cut.resize((PHOTO, PHOTO), Image.Resampling.LANCZOS)) / 255
-
-
 def colors_row(backend) -> np.ndarray:
     """Return the second row of the drawing."""
-    source, target = square(data.chelsea(), 75, 0, 300), square(data.coffee(), 100, 0, 400)
+    cuts = {"chelsea": (75, 0, 300), "coffee": (100, 0, 400)}
+    source, target = (square(name, cut, PHOTO) / 255 for name, cut in cuts.items())
     steps, panels = SHOWN[-1], []
     both = source.reshape(-1, 3), target.reshape(-1, 3)
     for number, (colors, loss) in enumerate(flow(*both, 0.05, steps, backend)):
@@ -101,10 +83,7 @@ def colors_row(backend) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("output", type=Path)
-    parser.add_argument("--device", default="auto")
-    given = parser.parse_args()
+    given = parser(__doc__).parse_args()
     backend = clmorph.get_backend(given.device)
     rows = np.vstack([points_row(backend), colors_row(backend)])
     Image.fromarray(rows).save(given.output, optimize=True)

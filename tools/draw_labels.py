@@ -3,11 +3,9 @@
 Each eye and the mouth have a label; all else is label 0.
 """
 
-import argparse
-from pathlib import Path
-
 import numpy as np
 from draw_landmarks import CUTS, FACES, SIDE, TIMES, face
+from drawing import parser
 from PIL import Image, ImageDraw
 
 import clmorph
@@ -46,10 +44,7 @@ def shown(picture: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("output", type=Path, nargs="?", default=Path("labels.png"))
-    parser.add_argument("--device", default="auto")
-    options = parser.parse_args()
+    options = parser(__doc__).parse_args()
     faces, labels = [face(name) for name in FACES], tuple(label_image(name) for name in FACES)
     rows = []
     for own, given in enumerate((None, labels)):

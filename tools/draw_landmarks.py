@@ -1,14 +1,14 @@
 """Draw a morph of two faces with and without landmarks: ``python tools/draw_landmarks.py out.png``.
 
 ``--faces`` draws what ``landmarks="auto"`` makes of two portraits: without landmarks, with those of
-the cascade, and with those of the mesh (which needs the extra ``faces``). ``--measure`` prints
-instead how many pixels landmarks miss their partners by, on random pictures.
+the cascade, and with those of the mesh (which needs the extra ``faces``). ``--measure`` prints how
+many pixels landmarks miss their partners by, on random pictures.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
+from drawing import parser
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 from skimage import data
@@ -18,6 +18,7 @@ from clmorph.images.finding.cascade import cascade_faces
 from clmorph.images.finding.common import MESHED, SEARCHED
 from clmorph.images.finding.mesh import mesh_faces
 from clmorph.images.finding.reduced import small_copy
+from clmorph.images.pixels import to_bytes
 
 #: Left, top and side of the close-up of the astronaut, and the number of the other face.
 PORTRAIT, MAN = (120, 30, 200), 3
@@ -71,10 +72,7 @@ def draw(path: Path, device: str, *, by_auto: bool) -> None:
     rows = []
     for landmarks in ways:
         morph = clmorph.morph(*faces, landmarks=landmarks, n_frames=3, backend=device)
-        frames = [
-            Image.fromarray(np.rint(255 * np.clip(morph.frame(t), 0, 1)).astype(np.uint8))
-            for t in TIMES
-        ]
+        frames = [Image.fromarray(to_bytes(morph.frame(t))) for t in TIMES]
         rows.append(np.hstack([each.resize((SIDE, SIDE), Image.LANCZOS) for each in frames]))
     Image.fromarray(np.vstack(rows)).save(path, optimize=True)
 
@@ -120,16 +118,14 @@ def measure(device: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("output", type=Path, nargs="?", default=Path("landmarks.png"))
-    parser.add_argument("--faces", action="store_true", help="draw what is found in portraits")
-    parser.add_argument("--measure", action="store_true", help="print misses in place of a picture")
-    parser.add_argument("--device", default="auto")
-    options = parser.parse_args()
-    if options.measure:
-        measure(options.device)
-    else:
-        draw(options.output, options.device, by_auto=options.faces)
+    options = parser(__doc__, optional=True)
+    options.add_argument("--faces", action="store_true", help="draw what is found in portraits")
+    options.add_argument("--measure", action="store_true", help="print misses")
+    given = options.parse_args()
+    if given.output is not None:
+        draw(given.output, given.device, by_auto=given.faces)
+    if given.measure:
+        measure(given.device)
 
 
 if __name__ == "__main__":

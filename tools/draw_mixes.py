@@ -1,13 +1,12 @@
 """Draw mixes of four photographs and of four drawings: ``python tools/draw_mixes.py out.png``."""
 
-import argparse
 import time
 from pathlib import Path
 
 import numpy as np
+from drawing import parser, square
 from drawn_pictures import logo
 from PIL import Image
-from skimage import data
 
 import clmorph
 
@@ -23,19 +22,12 @@ DRAWINGS = ("star", "disc", "bars", "ring")
 GRID, GAP = 5, 16
 
 
-def square(name: str, side: int) -> np.ndarray:
-    """Return the square of a photograph, reduced: (side, side, 3) bytes."""
-    left, top, width = CUTS[name]
-    cut = getattr(data, name)()[top : top + width, left : left + width]
-    return np.asarray(Image.fromarray(cut).resize((side, side), Image.Resampling.LANCZOS))
-
-
 def draw(path: Path, side: int, device: str) -> None:
     """Draw both grids side by side, and print how long each took."""
     operations = clmorph.get_backend(device)
     grids = []
     for kind, images in (
-        ("photographs", [square(name, side) for name in CUTS]),
+        ("photographs", [square(name, cut, side) for name, cut in CUTS.items()]),
         ("drawings", [logo(name, side) for name in DRAWINGS]),
     ):
         began = time.perf_counter()
@@ -47,11 +39,9 @@ def draw(path: Path, side: int, device: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("--side", type=int, default=96, help="pixels along a side of a mix")
-    parser.add_argument("--device", default="auto")
-    given = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--side", type=int, default=96, help="pixels along a side of a mix")
+    given = options.parse_args()
     draw(given.output, given.side, given.device)
 
 

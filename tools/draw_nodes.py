@@ -4,12 +4,10 @@ Rows: Morph, Mix of three pictures by their weights, Rearrange, and Recolor of t
 the second one with growing strength.
 """
 
-import argparse
-from pathlib import Path
-
 import numpy as np
 import torch
-from draw_recolored import square
+from draw_recolored import photograph
+from drawing import parser
 
 import clmorph
 from clmorph.adapters.comfyui import NODE_CLASS_MAPPINGS
@@ -21,7 +19,7 @@ WEIGHTS = ((2, 1, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1), (0, 1, 2))
 
 def rows(device: str) -> list[torch.Tensor]:
     """Return an IMAGE of `COUNT` pictures for each node."""
-    one, other, third = (torch.from_numpy(square(name)[None]).float() for name in NAMES)
+    one, other, third = (torch.from_numpy(photograph(name)[None]).float() for name in NAMES)
     nodes = {name.removeprefix("Clmorph"): kind() for name, kind in NODE_CLASS_MAPPINGS.items()}
     film = {"source": one, "target": other, "frames": COUNT, "time": 0.5, "size": 0}
     morphed, _ = nodes["Morph"].run(ease="linear", preset="auto", device=device, **film)
@@ -44,10 +42,7 @@ def rows(device: str) -> list[torch.Tensor]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("--device", default="auto")
-    given = parser.parse_args()
+    given = parser(__doc__).parse_args()
     drawn = [np.hstack(row.numpy()) for row in rows(given.device)]
     clmorph.write_image(given.output, np.vstack(drawn))
 

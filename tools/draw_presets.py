@@ -4,10 +4,8 @@ Each row is one pair of pictures by the preset that they choose themselves (``au
 ``--all`` there are rows by all presets for each pair, to be judged by eye.
 """
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from drawing import parser
 from drawn_pictures import logo, sprite
 from picture_pairs import picture
 from PIL import Image
@@ -57,12 +55,10 @@ def shown(frame: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("--all", action="store_true", help="all presets, not only the one chosen")
-    parser.add_argument("--only", default="", help="pairs whose name holds this")
-    parser.add_argument("--device", default="auto")
-    options = parser.parse_args()
+    given = parser(__doc__)
+    given.add_argument("--all", action="store_true", help="all presets, not only the one chosen")
+    given.add_argument("--only", default="", help="pairs whose name holds this")
+    options = given.parse_args()
     presets = [name for name in PRESETS if name != "paper"] if options.all else ["auto"]
     chosen = [pair for name, pair in pairs().items() if options.only in name]
     rows = [

@@ -1,11 +1,10 @@
 """Draw how one picture's pixels form another one: ``python tools/draw_rearranged.py out.png``."""
 
-import argparse
 from pathlib import Path
 
 import numpy as np
+from drawing import parser, square
 from PIL import Image
-from skimage import data
 
 import clmorph
 
@@ -17,18 +16,11 @@ PAIRS = (("coffee", "chelsea"), ("astronaut", "chelsea"))
 SIDE = 192
 
 
-def square(name: str) -> np.ndarray:
-    """Return the square of a photograph, reduced: (SIDE, SIDE, 3) bytes."""
-    left, top, side = CUTS[name]
-    cut = getattr(data, name)()[top : top + side, left : left + side]
-    return np.asarray(Image.fromarray(cut).resize((SIDE, SIDE), Image.Resampling.LANCZOS))
-
-
 def draw(path: Path, device: str, folder: Path | None) -> None:
     """Draw a row of frames for each pair and, after them, the picture that the pixels form."""
     rows = []
     for names in PAIRS:
-        a, b = map(square, names)
+        a, b = (square(name, CUTS[name], SIDE) for name in names)
         found = clmorph.rearrange(a, b, backend=device)
         frames = [np.rint(255 * found.frame(t)).astype(np.uint8) for t in TIMES]
         rows.append(np.hstack([*frames, b]))
@@ -44,11 +36,9 @@ def draw(path: Path, device: str, folder: Path | None) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--frames", type=Path, help="a folder for single frames")
-    given = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--frames", type=Path, help="a folder for single frames")
+    given = options.parse_args()
     draw(given.output, given.device, given.frames)
 
 

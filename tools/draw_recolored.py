@@ -6,12 +6,12 @@ and `clmorph.recolor`. ``--compare`` prints how far the colors of each are from 
 should be, and ``--time`` what a picture of a megapixel takes.
 """
 
-import argparse
 import time
 import warnings
 from pathlib import Path
 
 import numpy as np
+from drawing import parser, square
 from PIL import Image
 from skimage import color, data, exposure
 
@@ -34,11 +34,9 @@ BLUR, EVERY = 0.05, 5
 SIDE = 1024
 
 
-def square(name: str) -> np.ndarray:
+def photograph(name: str) -> np.ndarray:
     """Return the square of a photograph, reduced: (DRAWN, DRAWN, 3) floats."""
-    left, top, side = CUTS[name]
-    cut = Image.fromarray(getattr(data, name)()[top : top + side, left : left + side])
-    return np.asarray(cut.resize((DRAWN, DRAWN), Image.Resampling.LANCZOS)) / 255
+    return square(name, CUTS[name], DRAWN) / 255
 
 
 def by_moments(image: np.ndarray, like: np.ndarray) -> np.ndarray:
@@ -55,7 +53,7 @@ def draw(path: Path, device: str) -> None:
     """Draw a row for each pair."""
     rows = []
     for names in PAIRS:
-        image, like = map(square, names)
+        image, like = map(photograph, names)
         made = by_methods(image, like, device)
         rows.append(np.hstack([image, like, *list(made.values())[1:4]]))
     clmorph.write_image(path, np.vstack(rows))
@@ -80,7 +78,7 @@ def compare(device: str) -> None:
         return np.full(len(points), 1 / len(points)), points
 
     for number, names in enumerate(PAIRS):
-        image, like = map(square, names)
+        image, like = map(photograph, names)
         made = by_methods(image, like, device)
         if number == 0:
             print(f"| colors | {' | '.join(made)} |\n|---|{'---|' * len(made)}")
@@ -118,12 +116,10 @@ def measure(device: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("output", type=Path, nargs="?")
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--compare", action="store_true")
-    parser.add_argument("--time", action="store_true")
-    given = parser.parse_args()
+    options = parser(__doc__, optional=True)
+    options.add_argument("--compare", action="store_true")
+    options.add_argument("--time", action="store_true")
+    given = options.parse_args()
     if given.output is not None:
         draw(given.output, given.device)
     if given.compare:
