@@ -1,12 +1,29 @@
 """The records that operations return in addition to plain arrays, and the types of these arrays."""
 
+import warnings
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.errors import ClmorphWarning, DeviceError
+
 Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+
+#: What this process has been told of programs that it does without.
+_told: set[str] = set()
+
+
+class ProgramError(DeviceError):
+    """A program cannot be built or is not used; others of the device may work."""
+
+    def tell(self, instead: str) -> None:
+        """Warn, once, that work goes on without the program."""
+        text = f"{instead}: {self}"
+        if text not in _told:
+            _told.add(text)
+            warnings.warn(text, ClmorphWarning, stacklevel=3)
 
 
 class PlanRows(NamedTuple):

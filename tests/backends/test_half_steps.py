@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import clmorph
+from clmorph.backends import records
 from clmorph.backends.interface import MEMORY
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
@@ -168,10 +169,11 @@ def test_where_kernels_cannot_be_built_the_host_iterates(device, rng, monkeypatc
     def refuse(context, name, *more):
         if name in OPTIONAL:
             asked.append(name)
-            raise program.ProgramError(REFUSED)
+            raise records.ProgramError(REFUSED)
         return build(context, name, *more)
 
     monkeypatch.setattr(program, "build", refuse)
+    monkeypatch.setattr(records, "_told", set())
     operations = fresh()
     with pytest.warns(clmorph.ClmorphWarning, match=f"on the host.*{REFUSED}") as told:
         found = solve(operations)

@@ -10,11 +10,11 @@ from clmorph.backends.interface import MAX_DIMENSION
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import SLICE, SLICED_FROM
-from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.variants import Variant, all_variants, used_together
 from clmorph.backends.opencl.devices import verdicts
 from clmorph.backends.opencl.verification.bench import TABLE, Bench, Clouds, clustered
 from clmorph.backends.opencl.verification.table import first_failure
+from clmorph.backends.records import ProgramError
 
 DIMENSIONS = [
     12, 17, 30, 128, MAX_DIMENSION,

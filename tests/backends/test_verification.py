@@ -19,7 +19,6 @@ from clmorph.backends.opencl import probe
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import programs
 from clmorph.backends.opencl.build.constants import apply_quirks, choose_constants, gpu_constants
-from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.programs import Programs, program_key, read_request
 from clmorph.backends.opencl.build.variants import (
     KERNELS,
@@ -35,6 +34,7 @@ from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
 from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, LOADED, Ended
 from clmorph.backends.opencl.devices.verdicts import OPTIONAL, WRONG
 from clmorph.backends.opencl.verification.table import first_failure
+from clmorph.backends.records import ProgramError
 
 PLAIN = Variant("log_sum_exp.cl", 5)
 OTHER = Variant("plan_rows.cl", 3, precise=True)

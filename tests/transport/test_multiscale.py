@@ -9,6 +9,9 @@ import pytest
 from plain import reference, sinkhorn
 
 import clmorph
+from clmorph.backends import records
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build import program
 from clmorph.measures.cluster import make_clusters
 from clmorph.measures.points import WeightedPoints
 from clmorph.transport._solver import annealing, multiscale
@@ -436,6 +439,34 @@ def test_a_level_without_clusters_has_the_clouds_of_the_finer_one(device, rng):
     again = Problem.between(clmorph.get_backend(device), *pair, (0.1, np.inf))
     for epsilon in (0.1, 0.01):
         assert np.array_equal(other.to_rows(g, epsilon), again.to_rows(g, epsilon))
+
+
+@pytest.mark.parametrize("refused", ["near_field.cl", "sliced_ellpack.cl"])
+def test_a_solve_does_without_a_program_that_cannot_be_built(device, monkeypatch, refused):
+    """Over all pairs, or over pairs that are not stored; this is told once."""
+    build, asked = program.build, []
+
+    def refuse(context, name, *more):
+        asked.append(name)
+        if name == refused:
+            raise records.ProgramError("refused: 1:1: error: no dominating alternative")
+        return build(context, name, *more)
+
+    def solve():
+        operations = OpenCLOperations(device.device, device.constants, verify=False)
+        return sinkhorn(
+            *sharp(24), 0.05, 0.3, 1e-5, backend=operations, multiscale=True, truncation=1e-6
+        )
+
+    want = solve()
+    monkeypatch.setattr(program, "build", refuse)
+    monkeypatch.setattr(records, "_told", set())
+    with pytest.warns(clmorph.ClmorphWarning, match="longer: refused: 1:1") as told:
+        got = solve()
+    assert len(told) == 1
+    assert refused in asked
+    assert got.converged
+    assert np.abs(got.f - want.f).max() <= 2e-3 * got.epsilon
 
 
 def test_fewer_pairs_are_stored_where_all_would_be_too_many(monkeypatch):

@@ -7,7 +7,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
-from clmorph.backends.records import NearPairs
+from clmorph.backends.records import NearPairs, ProgramError
 from clmorph.backends.rounding import rounding_error
 from clmorph.errors import InputError
 
@@ -87,15 +87,25 @@ class Softmin:
 
         `precise` exponents are better than float32; `bounded` computes `roundoff`.
         """
+        if self.truncation is not None:
+            try:
+                return self._truncated(self.truncation, potential, epsilon, precise, bounded)
+            except ProgramError as error:
+                error.tell("softmins sum over all pairs of points, which takes longer")
+                self.release()
+        return self._over(None, potential, epsilon, precise, bounded)
+
+    def _truncated(
+        self, truncation: float, potential: Array, epsilon: float, precise: bool, bounded: bool
+    ) -> Array:
+        """Return T(potential), summed over near pairs if pairs left out can be bounded."""
         kind = precise, bounded
         # Pairs left out and rounding together are then within the truncation.
         share = 1.0 - ROUNDING_SHARE if bounded else 1.0
-        if self.truncation is None:
-            return self._over(None, potential, epsilon, *kind)
         if self._near is not None and self._chosen_for[0] == epsilon:
             softmin = self._over(self._near, potential, epsilon, *kind)
             self.left_out = self._bound(potential, softmin, epsilon)
-            if self.left_out <= share * self.truncation:
+            if self.left_out <= share * truncation:
                 return softmin
             self.reserve = max(LEAST_RESERVE, min(SCARCER, self.reserve) * self.reserve)
         if self.guess is None:

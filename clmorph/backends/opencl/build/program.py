@@ -15,13 +15,9 @@ import pyopencl as cl
 from clmorph.backends.opencl.devices.cache import read_cached, write_cached
 from clmorph.backends.opencl.devices.runtimes import is_uncached
 from clmorph.backends.opencl.devices.verdicts import cpu_identity
-from clmorph.errors import DeviceError
+from clmorph.backends.records import ProgramError
 
 _INCLUDE = re.compile(r'^#include "([a-z_]+\.cl)"$', re.MULTILINE)
-
-
-class ProgramError(DeviceError):
-    """A program cannot be built or is not used; others of the device may work."""
 
 
 @functools.cache

@@ -9,11 +9,11 @@ import pyopencl as cl
 
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
-from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.tuned_record import forget_tuning
 from clmorph.backends.opencl.build.variants import KERNELS, Variant, used_together
 from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.find import index_of, mark_unusable
+from clmorph.backends.records import ProgramError
 from clmorph.errors import DeviceError
 
 #: Returns what is wrong with a variant, checked in this process; '' if nothing is.

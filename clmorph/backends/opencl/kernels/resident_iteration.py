@@ -2,7 +2,6 @@
 
 import math
 import time
-import warnings
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -15,13 +14,17 @@ from numpy.typing import NDArray
 
 from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.opencl.build.constants import SENTINEL
-from clmorph.backends.opencl.build.program import ProgramError
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.clouds import split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
-from clmorph.backends.records import SOURCE, Float64, IterationNumbers, next_source
-from clmorph.errors import ClmorphWarning
+from clmorph.backends.records import (
+    SOURCE,
+    Float64,
+    IterationNumbers,
+    ProgramError,
+    next_source,
+)
 
 
 @dataclass(frozen=True)
@@ -168,11 +171,7 @@ class ResidentSteps(ABC):
                     self._programs.kernels(self.variant)
             except ProgramError as error:
                 self._is_possible = False
-                warnings.warn(
-                    f"iterations run on the host, which is slower: {error}",
-                    ClmorphWarning,
-                    stacklevel=2,
-                )
+                error.tell("iterations run on the host, which is slower")
         return self._is_possible
 
     @abstractmethod

@@ -73,6 +73,7 @@ class SlicedEllpack:
         near: tuple[NearPairs | None, NearPairs | None] = (None, None),
     ) -> StoredPairs | None:
         """Store the pairs of a plan above a threshold twice: by row and by column."""
+        self._kernel("clear_stored")  # or a ProgramError, before the pairs are counted
         sides = []
         n_pairs, memory = 0, self._work.device.global_mem_size // 4
         most = min(max_pairs, memory // BYTES_PER_PAIR)
