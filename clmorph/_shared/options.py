@@ -110,10 +110,7 @@ class Options:
 
     @classmethod
     def checked(cls, name: str, value: Any) -> Any:
-        """Return the checked value of an option; None is valid if the option has a word for it.
-
-        Functions that take one option check it by this method, so that its range stands once.
-        """
+        """Return the checked value of an option; None is valid if the option has a word for it."""
         known = specifications(cls)[name]
         if value is None and known.word:
             return None
@@ -246,10 +243,7 @@ def to_outside(known: Option, value: Any) -> Any:
 
 
 def from_outside(known: Option, name: str, value: Any) -> Any:
-    """Convert a value of TOML or JSON to the option's value in Python, or raise InputError.
-
-    Wrong kinds, such as 4.7 frames, are never converted silently.
-    """
+    """Convert a value of TOML or JSON to the option's value in Python, or raise InputError."""
     if isinstance(value, str) and value == known.word:
         return None
     if isinstance(value, str) and value in dict(known.kind.words):

@@ -76,12 +76,7 @@ def check_plotting(path: str | PathLike[str] | None = None) -> None:
 
 
 def draw_inspection(inspection: Report, path: str | PathLike[str]) -> None:
-    """Draw the figure of a transport to a path, whose old file is replaced atomically.
-
-    The panels show both images, the mean displacement of source pixels as arrows, the mass
-    destroyed and created, the distances that mass travels, the residual over the iterations, and
-    the main numbers.
-    """
+    """Draw the figure of a transport to a path, whose old file is replaced atomically."""
     check_plotting(path)
     with atomic_path(path) as place:
         _write(inspection, place, place.suffix.lower())

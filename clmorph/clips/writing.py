@@ -61,25 +61,10 @@ OWN_TAGS = ColorTags(BT709, LIMITED, BT709, SRGB_CURVE)
 class ClipWriter:
     """A film that is being written; a context manager, which closes it.
 
-    Parameters
-    ----------
-    file : Path
-        A new file, `container` its kind in `CONTAINERS`, and `size` (width, height) of its frames,
-        which are even.
-    rate, time_base : Fraction
-        Frames a second, which need not be even, and the unit of their times in seconds.
-    tags, matrix, aspect
-        Colors of the film, see `Clip`.
-    comment : str
-        Metadata.
-    clear, deep : bool
-        Whether pictures have opacity, and whether they are written with 10 bits a channel.
-    sounds
-        `Clip.sounds`, if packets are copied from a clip.
-    mixed
-        Whether there is sound that `write_sound` encodes.
-    changes
-        Options of the encoder in place of the container's.
+    The `size` (width, height) of frames is even; `rate` is in frames a second, and `time_base` the
+    unit of their times in seconds. `sounds` are `Clip.sounds` whose packets are copied, and `mixed`
+    tells that there is sound which `write_sound` encodes. With `deep` pictures have 10 bits a
+    channel. `changes` are options of the encoder in place of the container's.
     """
 
     def __init__(

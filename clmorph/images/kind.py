@@ -38,22 +38,6 @@ def kind_of(image: AnyArray) -> Kind:
     artifacts of compression is none. A drawing has equal neighbors almost everywhere, and in
     addition its foreground is flat, or consists of few colors as text does, so that a photographed
     object on white is none. Under a transparent background a foreground without grain suffices.
-
-    Parameters
-    ----------
-    image : (H, W, 3) or (H, W, 4) array
-        sRGB in [0, 1], and opacity, or integers (`clmorph.images.pixels.as_samples`).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> rng = np.random.default_rng(0)
-    >>> kind_of(rng.random((40, 50, 3)))
-    'photograph'
-    >>> y, x = np.mgrid[-1:1:300j, -1:1:300j]
-    >>> disc = np.clip((0.7 - np.hypot(x, y)) * 150, 0, 1)  # its edge is anti-aliased
-    >>> kind_of(np.dstack((disc, disc, np.ones_like(disc))))
-    'drawing'
     """
     if _is_sprite(image):
         return "sprite"

@@ -62,10 +62,7 @@ def solved_size(shape: tuple[int, int], size: int | None) -> int:
 
 
 def group_pixels(measure: Measure, size: int | None) -> PixelBlocks:
-    """Gather a lifted image's pixels into square blocks, at most `size` along the longer side.
-
-    Blocks have one pixel each if the image is no larger, or the size is None.
-    """
+    """Gather a lifted image's pixels into square blocks, at most `size` along the longer side."""
     side = block_side(measure.shape, size)
     if side == 1:
         return PixelBlocks(measure, measure, 1)

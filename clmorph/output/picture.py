@@ -86,10 +86,7 @@ WRITERS: dict[str, Callable[[Array, Mapping[str, Any], Path], None]] = {
 
 
 def check_picture_place(path: str | PathLike[str], format: str | None = None) -> Path:
-    """Return the path of a picture to be written, or raise OutputError if it cannot be written.
-
-    `format`, an ending without its dot, overrides the ending of the path.
-    """
+    """Return the path of a picture to be written, or raise OutputError if it cannot be written."""
     if not is_path(path):
         raise OutputError(f"path={shown(path)}: expected a path such as 'out.png'")
     ending = Path(path).suffix.lower() if format is None else f".{format}"
@@ -106,10 +103,7 @@ def check_picture_place(path: str | PathLike[str], format: str | None = None) ->
 def write_picture(
     pixels: Array, parameters: Mapping[str, Any], file: Path, format: str | None = None
 ) -> None:
-    """Write sRGB (H, W, 3 or 4) in [0, 1] and metadata to a new file in the ending's format.
-
-    `format`, an ending without its dot, overrides the ending of the file.
-    """
+    """Write sRGB (H, W, 3 or 4) in [0, 1] and metadata to a new file in the ending's format."""
     WRITERS[file.suffix.lower() if format is None else f".{format}"](pixels, parameters, file)
 
 

@@ -39,10 +39,7 @@ NODES = 65
 
 
 def check_clip_place(path: str | PathLike[str], format: str | None = None) -> Path:
-    """Return the path of a clip to be written, or raise OutputError if it cannot be written.
-
-    `format`, an ending without its dot, overrides the ending of the path.
-    """
+    """Return the path of a clip to be written, or raise OutputError if it cannot be written."""
     if not is_path(path):
         raise OutputError(f"path={shown(path)}: expected a path such as 'out.mp4'")
     if not is_clip_place(path, format):

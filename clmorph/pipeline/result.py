@@ -428,10 +428,7 @@ class Morph(FrameSequence):
 
 
 def keep_frames(morph: Morph, progress: StageProgress | None = None) -> None:
-    """Render and cache all frames of a morph, so that files written later need not do so.
-
-    The stage "frames" is reported with the share of it that is done.
-    """
+    """Render and cache all frames of a morph, so that files written later need not do so."""
     report = check_progress(progress)
     if morph._kept:
         return

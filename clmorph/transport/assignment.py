@@ -55,30 +55,11 @@ def assign(
     least_gain: float = SMALLEST_GAIN,
     seed: int = 0,
 ) -> Assignment:
-    """Assign points to points so that half the mean squared distance is small.
+    """Assign points (N, D) to points so that half the mean squared distance is small.
 
-    Parameters
-    ----------
-    source, target : (N, D) arrays
-    destinations : (N, D) array, optional
-        Where each source goes about, such as the means of an entropic plan; the partition then
-        begins from there instead of from the sources.
-    least_gain : float
-        The search ends when rounds lower the cost by a smaller share.
-    seed : int
-        Seed of the random directions.
-
-    Returns
-    -------
-    Assignment
-        Every target is used once. The permutation is not optimal in general.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> found = assign(np.array([[0.0], [1.0]]), np.array([[1.5], [0.5]]))
-    >>> found.permutation.tolist(), found.cost
-    ([1, 0], 0.125)
+    The partition begins from `destinations`, such as the means of an entropic plan, in place of the
+    sources. The search ends when rounds lower the cost by a smaller share than `least_gain`; the
+    permutation is not optimal in general.
     """
     n = len(source)
     rng = np.random.default_rng(seed)

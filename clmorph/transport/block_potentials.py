@@ -31,11 +31,7 @@ def transport_pixels(
     operations: Operations,
     report: Report,
 ) -> PixelTransport:
-    """Solve between blocks, and extend the potentials to the pixels by one softmin each.
-
-    source, target: with equal masses in all; report: called with the share of the solve that is
-    done; Result: the certificate of the potentials is that of the blocks.
-    """
+    """Solve between blocks, and extend the potentials to the pixels by one softmin each."""
     pair = source.coarse, target.coarse
     given = regularization(blur, None, None, None)
     found = solve(operations, pair, given, tol, SolverOptions.max_iter, "auto", report)

@@ -175,18 +175,7 @@ class _Bounded:
 
 
 def certify(rows: Side, columns: Side, epsilon: float) -> Certificate:
-    """Return the bounds that potentials and their softmins prove (math: certificate).
-
-    Parameters
-    ----------
-    rows, columns : Side
-    epsilon : float
-        Cost units.
-
-    Returns
-    -------
-    Certificate
-    """
+    """Return the bounds that potentials and their softmins prove (math: certificate)."""
     of_rows, of_columns = _Bounded(rows, epsilon), _Bounded(columns, epsilon)
     row_mass, column_mass = rows.marginal(epsilon), columns.marginal(epsilon)
     mass = float(row_mass.sum())

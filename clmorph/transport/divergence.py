@@ -277,10 +277,7 @@ def check_symmetric(*measures: AnyMeasure) -> None:
 def combined(
     cross: Potentials, source: Potentials, target: Potentials, given: Regularization
 ) -> Divergence:
-    """Return the divergence that three solves prove.
-
-    cross, source, target: of the problem between both measures, and of each measure with itself.
-    """
+    """Return the divergence that three solves prove."""
     parts = source, target
     if not all(np.isfinite(part.gap) for part in (cross, *parts)):
         raise InputError(
@@ -351,9 +348,6 @@ def self_transport_of(
     operations: Operations,
     precision: str = "auto",
 ) -> Potentials:
-    """Solve the problem of a measure with itself, without a warning.
-
-    given: with one reach for both sides.
-    """
+    """Solve the problem of a measure with itself, without a warning."""
     options = given, tol, max_iter, precision, lambda share: None
     return solve(operations, (measure, measure), *options)

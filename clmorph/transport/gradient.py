@@ -141,11 +141,7 @@ def divergence_gradient(
     selves: tuple[Potentials, Potentials],
     operations: Operations,
 ) -> Gradient:
-    """Return the derivatives of the divergence of two measures, given its three solves.
-
-    pair: (source, target); selves: (Potentials of the source with itself, Potentials of the target
-    with itself).
-    """
+    """Return the derivatives of the divergence of two measures, given its three solves."""
     points, weights = [], []
     both = uploaded_pair(operations, pair)
     for clouds, measures, potentials, own in (

@@ -193,10 +193,7 @@ def certified(
 def _scaled(
     costs: Costs, gap: float, constant: float, operations: Operations, seed: int, report: Progress
 ) -> Solution:
-    """Solve in units of the mean cost, so that lengths of any size can be used.
-
-    constant: what each assignment costs besides.
-    """
+    """Solve in units of the mean cost, so that lengths of any size can be used."""
     scale = costs.scale
     g = np.zeros(len(costs.y))
     if scale <= 0 or len(costs.x) * len(costs.y) <= FEW_PAIRS:

@@ -308,10 +308,7 @@ def _share_dropped(kept: Any, whole: Any) -> Any:
 
 
 def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
-    """Return a plan after checking that its measures have these sizes.
-
-    name: the name of the plan in error messages; sizes: (N, M).
-    """
+    """Return a plan after checking that its measures have these sizes."""
     if not isinstance(value, Plan):
         raise InputError(
             f"{name}={shown(value)}: expected a Plan, as clmorph.transport_plan returns it"

@@ -20,22 +20,12 @@ from clmorph.transport.potentials import Potentials
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Pairs drawn from a plan: k from each row, and l from each column.
+    """Pairs drawn from a plan: k from each row, and l from each column."""
 
-    Attributes
-    ----------
-    targets : (N, k) array of int
-        Target points drawn from each row, with the probabilities pi_ij / r_i.
-    sources : (M, l) array of int
-        Source points drawn from each column, with the probabilities pi_ij / c_j.
-    row_mass, column_mass : (N,) and (M,) arrays
-        Marginals r and c of the plan.
-    """
-
-    targets: NDArray[np.int32]
-    sources: NDArray[np.int32]
-    row_mass: Array
-    column_mass: Array
+    targets: NDArray[np.int32]  #: (N, k), drawn with the probabilities pi_ij / r_i
+    sources: NDArray[np.int32]  #: (M, l), drawn with the probabilities pi_ij / c_j
+    row_mass: Array  #: r, (N,)
+    column_mass: Array  #: c, (M,)
 
     def masses(self) -> tuple[Array, Array]:
         """Return the mass of each draw from a row, (N, k), and from a column, (M, l).
@@ -62,11 +52,6 @@ def n_draws(draws: int) -> tuple[int, int]:
 
     All draws but one are taken from rows, because many strata of one side spread more evenly than
     few strata of both sides. One draw from each column is enough to reach every target point.
-
-    Examples
-    --------
-    >>> n_draws(8)
-    (7, 1)
     """
     return max(1, draws - 1), 1
 
@@ -152,26 +137,7 @@ def draw_pairs(
     seed: int = 0,
     backend: Backend = "auto",
 ) -> Draws:
-    """Draw pairs from each row and from each column of a plan.
-
-    Parameters
-    ----------
-    source, target : Measure or WeightedPoints
-    potentials : Potentials
-    draws : (from each row, from each column)
-        Numbers of draws.
-    seed, backend
-        As in `sample_plan`.
-
-    Returns
-    -------
-    Draws
-
-    Raises
-    ------
-    InputError
-        If an argument cannot be used.
-    """
+    """Draw pairs from each row and from each column of a plan."""
     seed = check_integer("seed", seed, 0, 2**63)
     rng = np.random.default_rng(seed)
     pair = as_pair(source, target)

@@ -334,10 +334,7 @@ class Potentials:
 
 
 def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potentials:
-    """Return potentials after checking that they are usable for measures of these sizes.
-
-    name: the name of the potentials in error messages; sizes: (N, M).
-    """
+    """Return potentials after checking that they are usable for measures of these sizes."""
     if not isinstance(value, Potentials):
         raise InputError(
             f"{name}={shown(value)}: expected Potentials, as clmorph.sinkhorn returns them"

@@ -47,10 +47,7 @@ def check_reachable(log_threshold: float, source: AnyMeasure, target: AnyMeasure
 
 
 def no_pair_kept(log_threshold: float, largest: float) -> InputError:
-    """Return the error which reports that a plan has no pair above the threshold.
-
-    largest: the largest log pi_ij.
-    """
+    """Return the error which reports that a plan has no pair above the threshold."""
     return InputError(
         f"log_threshold={log_threshold:g}: no pair of the plan exceeds it, the largest log pi is "
         f"{largest:.4g}; {REMEDY}"
@@ -58,10 +55,7 @@ def no_pair_kept(log_threshold: float, largest: float) -> InputError:
 
 
 def undecided(log_threshold: float, rounding: float) -> float:
-    """Return a bound of the error of a device's log pi_ij near the threshold, in nats.
-
-    rounding: largest effect of rounding on a softmin in nats, see `rounding_error`.
-    """
+    """Return a bound of the error of a device's log pi_ij near the threshold, in nats."""
     return ROUNDINGS * (rounding + FLOAT32 * max(1.0, abs(log_threshold)))
 
 
@@ -96,10 +90,7 @@ def strictly_above(
 
 
 def only(pairs: PlanRows, keep: BoolArray) -> PlanRows:
-    """Return some of the pairs.
-
-    keep: (kept,), whether each pair is kept.
-    """
+    """Return some of the pairs."""
     before = np.concatenate(([0], np.cumsum(keep, dtype=np.int64)))
     return PlanRows(before[pairs.indptr], pairs.indices[keep], pairs.mass[keep])
 

@@ -35,17 +35,12 @@ def refuses_other_order(function: Callable[_Given, _Result]) -> Callable[_Given,
 
 
 class Regularization(NamedTuple):
-    """Checked entropic regularization and marginal penalty.
-
-    blur: length, in the unit of the points; reach: length, in the unit of the points; a pair only
-    if its halves differ; epsilon: blur^2, cost units; rho: (rho_source, rho_target), reach^2, cost
-    units; infinite where balanced.
-    """
+    """Checked entropic regularization and marginal penalty."""
 
     blur: float
-    reach: Reach
+    reach: Reach  #: a pair only if its halves differ
     epsilon: float
-    rho: tuple[float, float]
+    rho: tuple[float, float]  #: infinite where balanced
 
 
 def regularization(
@@ -56,25 +51,8 @@ def regularization(
 ) -> Regularization:
     """Check either blur or epsilon = blur^2, and either reach or rho = reach^2 (paper, 2.1).
 
-    Parameters
-    ----------
-    blur : float, optional
-        `SolverOptions.blur` if neither is given.
-    reach : float, None, or a pair (reach_source, reach_target)
-        None is balanced.
-    epsilon : float, optional
-    rho : float or a pair, optional
-        Infinity is balanced.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range, or if both epsilon and blur or both rho and reach are given.
-
-    Examples
-    --------
-    >>> regularization(0.5, None)
-    Regularization(blur=0.5, reach=None, epsilon=0.25, rho=(inf, inf))
+    Without both, the blur is `SolverOptions.blur`. A rho that is infinite is balanced, as is a
+    reach of None.
     """
     for value in (blur, reach):
         # As other libraries are called; a pair of reaches is no array of measures.

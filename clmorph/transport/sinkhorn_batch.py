@@ -134,10 +134,7 @@ def problem_name(number: int) -> str:
 
 
 def what_missed(found: PotentialsBatch, name: Callable[[int], str]) -> str:
-    """Return how many solves did not converge, and how the first of them ended.
-
-    found: not all converged; name: a function that returns the name of a problem.
-    """
+    """Return how many solves did not converge, and how the first of them ended."""
     missed = [number for number, each in enumerate(found.statuses) if each != "converged"]
     first = missed[0]
     return (
@@ -178,11 +175,7 @@ def solve_many(
     name: Callable[[int], str] = problem_name,
     exact: bool = False,
 ) -> PotentialsBatch:
-    """Solve the problems of checked pairs of measures, without a warning.
-
-    pairs: sequence of (source, target); name: a function that returns the name of a problem for
-    error messages.
-    """
+    """Solve the problems of checked pairs of measures, without a warning."""
     for number, pair in enumerate(pairs):
         try:
             check_problem(*pair, given, operations, precision, tol)

@@ -68,10 +68,7 @@ def _opaque_by(image: Array, alpha: Array) -> Array:
 
 
 def paired(**images: Sequence[Array]) -> list[tuple[Array, ...]]:
-    """Return the first pictures of some batches together, the second ones, and so on.
-
-    A batch of one picture goes with each picture of the others.
-    """
+    """Return the first pictures of some batches together, the second ones, and so on."""
     count = max(map(len, images.values()))
     for name, batch in images.items():
         if len(batch) not in (1, count):

@@ -23,10 +23,7 @@ SHEET = ".png"
 
 
 def check_outputs(outputs: Sequence[Output], n_stops: int, options: MorphOptions) -> None:
-    """Check that files can hold a sheet, or a film with some stops, before any computation.
-
-    The number of stops is 0 for a sheet.
-    """
+    """Check that files can hold a sheet, or a film with some stops, before any computation."""
     for output in outputs:
         if not n_stops and output.name != "sheet":
             raise OutputError(

@@ -58,11 +58,7 @@ def free_support(
     operations: Operations,
     report: Progress,
 ) -> Barycenter:
-    """Move points, and change their masses unless transport is balanced, until they rest.
-
-    shares: positive shares of the measures, with the sum 1; given: with one reach for both sides;
-    report: called with the share of the work that is done.
-    """
+    """Move points, and change their masses unless transport is balanced, until they rest."""
     epsilon, rho = given.epsilon, given.rho[0]
     balanced = bool(np.isinf(rho))
     inner = min(INNER_TOL, INNER_SHARE * tol)
