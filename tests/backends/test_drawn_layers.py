@@ -59,36 +59,60 @@ def drawn(operations, layer, low=0.0):
     ).draw(operations)  # fmt: skip
 
 
-@pytest.mark.small
-@pytest.mark.parametrize("shape", SHAPES)
-def test_devices_average_as_numpy_does(each_device, shape):
-    for name, case in mean_cases(shape).items():
-        got, want = (backend.edge_preserving_mean(*case) for backend in (each_device, REFERENCE))
-        assert got.shape == want.shape == (*case.fine_guide.shape[:2], case.values.shape[2])
-        assert got.dtype == want.dtype == np.float64
-        assert largest(got - want) <= case.rounding(), name
+#: The cases of each operation, how it is called, the result's shape, and its dtype.
+OPERATIONS = {
+    "edge_preserving_mean": (
+        mean_cases, lambda backend, case: backend.edge_preserving_mean(*case),
+        lambda case: (*case.fine_guide.shape[:2], case.values.shape[2]), np.float64,
+    ),
+    "follow_paths": (
+        path_cases, lambda backend, case: backend.follow_paths(*case),
+        lambda case: (case.steps + 1, *case.shape, 2), np.float32,
+    ),
+    "draw_layers": (
+        scenes, lambda backend, case: case.draw(backend), lambda case: (*case.shape, 4), np.float32,
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.small
 @pytest.mark.parametrize("shape", SHAPES)
-def test_devices_follow_paths_as_numpy_does(each_device, shape):
-    for name, case in path_cases(shape).items():
-        got, want = (backend.follow_paths(*case) for backend in (each_device, REFERENCE))
-        assert got.shape == want.shape == (case.steps + 1, *case.shape, 2)
-        assert got.dtype == want.dtype == np.float32
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_devices_agree_with_numpy(each_device, operation, shape):
+    cases, run, shape_of, dtype = OPERATIONS[operation]
+    for name, case in cases(shape).items():
+        got, want = (run(backend, case) for backend in (each_device, REFERENCE))
+        assert got.shape == want.shape == shape_of(case)
+        assert got.dtype == want.dtype == dtype
         assert np.all(np.isfinite(got))
-        assert np.abs(got).max() <= (1 + 1e-5) * np.abs(case.field).max()
         assert largest(got - want) <= case.rounding(), name
+        if operation == "follow_paths":
+            assert np.abs(got).max() <= (1 + 1e-5) * np.abs(case.field).max()
 
 
-@pytest.mark.small
-@pytest.mark.parametrize("shape", SHAPES)
-def test_devices_draw_as_numpy_does(each_device, shape):
-    for name, scene in scenes(shape).items():
-        got, want = (scene.draw(backend) for backend in (each_device, REFERENCE))
-        assert got.shape == want.shape == (*shape, 4)
-        assert got.dtype == want.dtype == np.float32
-        assert largest(got - want) <= scene.rounding(), name
+class SmallBudget(LaunchBudget):
+    """A row a launch."""
+
+    def pairs(self):
+        return 1
+
+
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_launches_are_cut_without_changing_a_bit(each_device, operation):
+    cases, run, *_ = OPERATIONS[operation]
+    layers = Layers(each_device.work, each_device.constants, each_device.programs)
+    layers._of_means = layers._of_paths = layers._of_points = layers._of_pixels = SmallBudget()
+    for case in cases((19, 26)).values():
+        assert np.array_equal(run(layers, case), run(each_device, case))
+
+
+def test_rows_of_cells_in_several_launches(each_device):
+    """As where loops must be short."""
+    constants = replace(each_device.constants, longest_loop=600)
+    layers = Layers(each_device.work, constants, each_device.programs)
+    for name, case in mean_cases((19, 26)).items():
+        want = REFERENCE.edge_preserving_mean(*case)
+        assert largest(layers.edge_preserving_mean(*case) - want) <= case.rounding(), name
 
 
 @pytest.mark.parametrize("sigma", [0.4, 3.3])
@@ -144,15 +168,6 @@ def test_means_of_huge_values_and_colors(each_device, rng):
         backend.edge_preserving_mean(*huge, 2.0, 0.5) for backend in (each_device, REFERENCE)
     )
     assert np.abs(got - want).max() <= 1e-5 * 1e30
-
-
-def test_rows_of_cells_in_several_launches(each_device):
-    """As where loops must be short."""
-    constants = replace(each_device.constants, longest_loop=600)
-    layers = Layers(each_device.work, constants, each_device.programs)
-    for name, case in mean_cases((19, 26)).items():
-        want = REFERENCE.edge_preserving_mean(*case)
-        assert largest(layers.edge_preserving_mean(*case) - want) <= case.rounding(), name
 
 
 @pytest.mark.parametrize("rounds", [1, 4])
@@ -329,22 +344,3 @@ def test_huge_colors(each_device, rng):
     scene = scene._replace(layers=tuple(huge))
     got, want = (scene.draw(backend) for backend in (each_device, REFERENCE))
     assert largest(got - want) <= scene.rounding()
-
-
-def test_launches_are_cut_without_changing_a_bit(each_device):
-    def results(layers):
-        found = [layers.edge_preserving_mean(*case) for case in mean_cases((19, 26)).values()]
-        found += [layers.follow_paths(*case) for case in path_cases((17, 35)).values()]
-        return found + [scene.draw(layers) for scene in scenes((40, 50)).values()]
-
-    layers = Layers(each_device.work, each_device.constants, each_device.programs)
-    layers._of_means = layers._of_paths = layers._of_points = layers._of_pixels = SmallBudget()
-    for cut, whole in zip(results(layers), results(each_device), strict=True):
-        assert np.array_equal(cut, whole)
-
-
-class SmallBudget(LaunchBudget):
-    """A row a launch."""
-
-    def pairs(self):
-        return 1
