@@ -4,6 +4,7 @@ import functools
 import sys
 import threading
 import warnings
+from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -13,7 +14,7 @@ from count_transfers import TransferCount
 
 import clmorph
 from clmorph import DeviceError
-from clmorph.backends.opencl.kernels import launches
+from clmorph.backends.opencl.kernels import launches, particles
 from clmorph.backends.opencl.kernels.launches import LAUNCH_PARTICLES, TARGET_SECONDS, LaunchBudget
 from clmorph.transport._solver import steps
 
@@ -100,6 +101,30 @@ def test_prime_numbers_of_particles_leave_work_groups_whole(device, monkeypatch)
     assert len(set(levels)) > 3
     for part in (slice(0, 960), slice(960, None)):  # the last ones are at their places
         assert np.array_equal(levels_of(part), levels[part])
+
+
+def test_prime_numbers_of_slices_leave_work_groups_whole(device, monkeypatch, rng):
+    """Slices of the list that is sorted into bins; the order in a bin stays."""
+    units, splatting, sizes = device.device.max_compute_units, device.splatting, []
+    positions = rng.uniform(0, 40, (5000, 2)).astype(np.float32)
+    ones = np.ones(5000, np.float32)
+    splats = device.upload_splats(positions, np.ones((5000, 3), np.float32), ones)
+    want = device.bin_splats(splats, (40, 40), 1)
+    run = device.work.launch
+
+    def noted(kernel, size, *rest, **options):
+        sizes.append((kernel.function_name, *size))
+        run(kernel, size, *rest, **options)
+
+    monkeypatch.setattr(device.work, "launch", noted)
+    prime = replace(device.constants, slices_per_unit=-(-509 // units))
+    monkeypatch.setattr(splatting, "_constants", prime)
+    monkeypatch.setattr(particles, "COUNT_ENTRIES", 509 * len(want.starts[1:]))
+    monkeypatch.setattr(launches, "LAUNCH_PARTICLES", 3600)
+    found = device.bin_splats(splats, (40, 40), 1)
+    assert sizes == [(name, size) for name in ("count_bins", "fill_bins") for size in (256, 192)]
+    assert np.array_equal(found.order, want.order)
+    assert np.array_equal(found.starts, want.starts)
 
 
 def test_no_launch_sums_more_than_its_share(device, monkeypatch):

@@ -16,6 +16,8 @@ from clmorph.backends.width_levels import WIDTH_LEVELS
 
 #: Entries of the (slices, bins) table of counts; fewer slices are used on large canvases.
 COUNT_ENTRIES = 1 << 21
+#: Launches of more work-items than this take a multiple of it.
+WHOLE_GROUPS = 64
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,14 @@ class SortedSplats(NamedTuple):
     samples: cl.Buffer
 
 
+def whole_groups(items: int) -> int:
+    """Return how many of some work-items to launch together where the driver chooses groups.
+
+    It makes groups of 1 for a prime number of items.
+    """
+    return items // WHOLE_GROUPS * WHOLE_GROUPS or items
+
+
 def sort_splats(
     work: Workspace,
     kernels: Mapping[str, cl.Kernel],
@@ -73,13 +83,13 @@ def sort_splats(
     n_bins = bins * (1 if splats.width_levels is None else WIDTH_LEVELS.count)
     device = work.device
     slices = constants.slices_per_unit * device.max_compute_units
-    slices = max(1, min(slices, COUNT_ENTRIES // n_bins, n))
+    slices = whole_groups(max(1, min(slices, COUNT_ENTRIES // n_bins, n)))
     slices = max(slices, -(-n // loop_limits.sorted_particles(constants)))
     # There are few slices. By default, drivers of CPUs put all of them into one work-group on one
     # core, and vectorize over them with scattered accesses.
     group = (1,) if device.type & cl.device_type.CPU else None
     slice_size = -(-n // slices)
-    per_launch = max(1, launches.LAUNCH_PARTICLES // slice_size)
+    per_launch = whole_groups(max(1, launches.LAUNCH_PARTICLES // slice_size))
     counts = np.zeros((slices, n_bins), np.uint32)
     counts_buffer = work.buffer(counts, np.uint32)
     # The kernel ignores this buffer if all widths are equal, but drivers require one.

@@ -20,7 +20,13 @@ from clmorph.backends.opencl.kernels.gauss_transform import (
     moments_pay,
 )
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
-from clmorph.backends.opencl.kernels.particles import ParticleSet, SortedSplats, Splats, sort_splats
+from clmorph.backends.opencl.kernels.particles import (
+    ParticleSet,
+    SortedSplats,
+    Splats,
+    sort_splats,
+    whole_groups,
+)
 from clmorph.backends.records import Bins, Float32, Float64
 from clmorph.backends.width_levels import WIDTH_LEVELS
 from clmorph.errors import DeviceError
@@ -30,8 +36,6 @@ MARGIN = 1
 #: For splats with individual widths, moments are used for widths from `sigma` to this multiple of
 #: `sigma`, and the sides of bins are chosen for these widths.
 WIDEST = 2
-#: Launches over more particles than this take a multiple of it.
-WHOLE_GROUPS = 64
 
 
 class Splatting:
@@ -123,15 +127,10 @@ class Splatting:
         return replace(splats, samples=scaled, width_levels=levels)
 
     def _over_particles(self, name: str, count: int, *arguments: Any) -> None:
-        """Run a kernel with one work-item per particle, in launches of a bounded size.
-
-        Drivers choose the size of work-groups, 1 for a prime number of items. So the last few are a
-        launch of their own.
-        """
+        """Run a kernel with one work-item per particle, in launches of a bounded size."""
         first = 0
         while first < count:
-            items = min(launches.LAUNCH_PARTICLES, count - first)
-            items = items // WHOLE_GROUPS * WHOLE_GROUPS or items
+            items = whole_groups(min(launches.LAUNCH_PARTICLES, count - first))
             self._run(name, (items,), None, np.uint32(first), *arguments)
             first += items
 
