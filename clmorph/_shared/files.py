@@ -242,17 +242,28 @@ def atomic_paths(targets: Sequence[str | PathLike[str]]) -> Iterator[list[Path]]
             raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
 
 
+def is_closed_pipe(error: OSError) -> bool:
+    """Return whether an error says that nobody reads on; Windows calls that an invalid argument."""
+    if sys.platform == "win32" and error.errno == errno.EINVAL and error.filename is None:
+        return True
+    return isinstance(error, BrokenPipeError)
+
+
 def _copied_out(made: Path) -> bool:
     """Copy a file to standard output; return False if its reader has closed the pipe."""
     note_partial("a part was written to standard output")
     sys.stdout.flush()
-    with errors_as_output("standard output"), suppress(BrokenPipeError), made.open("rb") as file:
-        # A stream of its own: bytes that cannot be written must not stay in that of `print`.
-        with open(sys.stdout.fileno(), "wb", closefd=False) as stream:
-            shutil.copyfileobj(file, stream)
-        note_partial("")
-        return True
-    return False
+    with errors_as_output("standard output"), made.open("rb") as file:
+        try:
+            # A stream of its own: bytes that cannot be written must not stay in that of `print`.
+            with open(sys.stdout.fileno(), "wb", closefd=False) as stream:
+                shutil.copyfileobj(file, stream)
+        except OSError as error:
+            if is_closed_pipe(error):
+                return False
+            raise
+    note_partial("")
+    return True
 
 
 def _new_name(place: Path) -> str:

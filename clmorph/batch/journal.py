@@ -7,6 +7,7 @@ appending (object stores) get the whole journal at most every few seconds, and a
 import hashlib
 import json
 import os
+import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -22,6 +23,8 @@ from clmorph.errors import InputError, OutputError
 STATUSES, TEXTS = ("done", "failed"), ("output", "source", "target", "where", "key")
 #: Seconds between two writes of a journal that cannot be appended to.
 INTERVAL = 10.0
+#: A place behind the end of any journal.
+FAR = 1 << 40
 
 
 def identity(job: Job, device: str) -> str:
@@ -36,6 +39,20 @@ def identity(job: Job, device: str) -> str:
         job.settled(job.preset).outside(), job.preset, job.max_pixels, device, __version__,
     ]  # fmt: skip
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _lock(file: Any) -> None:
+    """Take a file for this process; an OSError says why not."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        # Nobody reads or writes what is locked, so that it is a byte far behind the end.
+        file.seek(FAR)
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 class Journal:
@@ -68,12 +85,8 @@ class Journal:
         except OSError as error:
             raise OutputError(f"{folder}: cannot be written to ({reason_of(error)})") from None
         try:
-            import fcntl
-        except ImportError:  # Windows
-            return file
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            _lock(file)
+        except (BlockingIOError, PermissionError):
             file.close()
             raise OutputError(
                 f"{folder}: another clmorph batch writes to it; wait for it, or choose another "

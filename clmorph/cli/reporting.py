@@ -12,6 +12,7 @@ from typing import Any
 import rich_click as click
 from click.exceptions import NoArgsIsHelpError
 
+from clmorph._shared.files import is_closed_pipe
 from clmorph._shared.printable import MESSAGE, printable, reason_of
 from clmorph._shared.signals import Ending, Terminated, farewell
 from clmorph.cli.options import in_option_names
@@ -66,7 +67,7 @@ def run(
     except OSError as error:
         # The output is closed or cannot be written. Python must not try to flush it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if isinstance(error, BrokenPipeError):
+        if is_closed_pipe(error):
             return 0
         _complain(f"error: {_reason(error)}")
         return 2

@@ -63,7 +63,7 @@ class Memory(NamedTuple):
 def process_memory(operations: Operations) -> tuple[int, int]:
     """Return bytes of this process, with a device's first use and at most until now; else zeros."""
     try:
-        text = Path("/proc/self/status").read_text()
+        text = Path("/proc/self/status").read_text("utf-8", "replace")
         found = dict(line.split(":", 1) for line in text.splitlines())
         now, most = (1024 * int(found[name].split()[0]) for name in ("VmRSS", "VmHWM"))
     except (OSError, KeyError):  # not Linux

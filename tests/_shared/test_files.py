@@ -1,11 +1,14 @@
 import os
+import shutil
 import stat
+import sys
 import tempfile
 from pathlib import Path
 
 import pytest
 
-from clmorph._shared.files import atomic_path, check_place
+from clmorph._shared import files
+from clmorph._shared.files import atomic_path, check_place, is_closed_pipe
 from clmorph.errors import OutputError
 
 
@@ -158,3 +161,30 @@ def test_a_folder_that_may_not_be_written_is_refused():
     finally:
         os.seteuid(user)
         folder.rmdir()
+
+
+@pytest.mark.parametrize(
+    ("error", "here", "there"),
+    [
+        (BrokenPipeError(32, "Broken pipe"), True, True),
+        (OSError(22, "Invalid argument"), False, True),
+        (OSError(22, "Invalid argument", "a?.gif"), False, False),
+        (OSError(28, "No space left on device"), False, False),
+    ],
+)
+def test_a_pipe_that_nobody_reads_has_an_error_of_its_own_on_windows(
+    monkeypatch, capfd, tmp_path, error, here, there
+):
+    def fail(*_):
+        raise error
+
+    (tmp_path / "made").write_bytes(b"made")
+    monkeypatch.setattr(shutil, "copyfileobj", fail)
+    for platform, closed in (("linux", here), ("win32", there)):
+        monkeypatch.setattr(sys, "platform", platform)
+        assert is_closed_pipe(error) == closed
+        if closed:
+            assert not files._copied_out(tmp_path / "made")
+            continue
+        with pytest.raises(OutputError, match="standard output cannot be written"):
+            files._copied_out(tmp_path / "made")

@@ -10,6 +10,7 @@ import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -190,6 +191,32 @@ def test_two_runs_do_not_share_a_folder(pictures, tmp_path, capsys):
         call = ["batch", "--chain", str(pictures[0].parent), "-o", str(tmp_path / "out")]
         assert main(call) == 2
     assert "another clmorph batch writes to it" in capsys.readouterr().err
+
+
+def test_a_journal_is_locked_on_windows_too(tmp_path, monkeypatch):
+    """By a byte behind the end, so that it can be read and written; the system refuses a second."""
+    from clmorph.batch.journal import FAR, Journal
+
+    locked = []
+
+    def locking(handle, mode, count):
+        place = os.lseek(handle, 0, os.SEEK_CUR), mode, count
+        if place in locked:
+            raise PermissionError(13, "Permission denied")
+        locked.append(place)
+
+    fake = SimpleNamespace(locking=locking, LK_NBLCK=2)
+    monkeypatch.setitem(sys.modules, "msvcrt", fake)
+    monkeypatch.setattr(sys, "platform", "win32")
+    record = dict.fromkeys(("output", "source", "target", "where", "key"), "x")
+    with Journal(str(tmp_path)) as journal:
+        journal.add(record | {"status": "done"})
+        assert locked == [(FAR, 2, 1)]
+        with pytest.raises(clmorph.OutputError, match="another clmorph batch writes to it"):
+            Journal(str(tmp_path))
+    locked.clear()
+    with Journal(str(tmp_path)) as journal:
+        assert journal.records == {"x": record | {"status": "done"}}
 
 
 def test_links_are_followed(pictures, tmp_path, capsys):

@@ -18,6 +18,7 @@ import numpy as np
 import plain
 import pytest
 from PIL import Image
+from sharing import refuse_what_is_open
 
 import clmorph
 from clmorph._shared import files, signals, staging
@@ -465,6 +466,34 @@ def test_frames_that_wait_beside_a_folder_are_not_in_it(at, monkeypatch, capfd):
     Path(at).mkdir(exist_ok=True)
     assert run("-o", at) == 0, capfd.readouterr().err
     assert names(at) == ["frame-0000.png", "frame-0001.png"]
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_no_file_is_moved_or_removed_while_it_is_open(name, monkeypatch, capfd):
+    """Windows refuses that. Frames wait on the disk, and files replace old ones."""
+    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("tempfile.TemporaryFile", tempfile.NamedTemporaryFile)
+    refused = refuse_what_is_open(monkeypatch)
+    target = f"x{(FORMATS[name].endings or ('',))[0]}"
+    for _ in range(2):
+        assert run("-o", target, "--format", name, "--recipe") == 0, capfd.readouterr().err
+        for frame in Path(target).iterdir() if Path(target).is_dir() else ():
+            frame.unlink()
+    assert refused == []
+    assert names() == [target, f"{target}.json"]
+
+
+def test_a_file_that_another_program_shows_stays(monkeypatch):
+    """On Windows; one line tells it, and nothing is left beside it."""
+    Path("x.gif").write_bytes(b"old")
+    refuse_what_is_open(monkeypatch)
+    with Path("x.gif").open("rb"), ExitStack() as stack:
+        for path in stack.enter_context(atomic_paths(["y.gif", "x.gif"])):
+            path.write_bytes(b"new")
+        with pytest.raises(OutputError, match=r"x\.gif cannot be written \(The process cannot"):
+            stack.close()
+    assert names() == ["x.gif"]
+    assert Path("x.gif").read_bytes() == b"old"
 
 
 @posix
