@@ -28,8 +28,8 @@ from clmorph.errors import (
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.pixels import read_visible
 from clmorph.output.playback import held_frames, motion_of
-from clmorph.output.recording import Recording, recorded
-from clmorph.output.save import Output, write_all
+from clmorph.output.recording import Recording
+from clmorph.output.save import Output, recorded_for, write_all
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.guides import guides
 from clmorph.pipeline.maps import read_maps
@@ -100,10 +100,9 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
                 beside={kind: picture_entries(paths) for kind, paths in beside.items()},
             )  # fmt: skip
 
-        with recorded(
-            [morph], motion, reverse=options.reverse, exact=place.format.exact,
-            keep=place.format.keep, pixelated=all(map(is_pixel_art, pictures)),
-            parameters=metadata(), folder=place.folder, progress=_silent,
+        with recorded_for(
+            [place], [morph], motion, reverse=options.reverse,
+            pixelated=all(map(is_pixel_art, pictures)), parameters=metadata(),
         ) as film:  # fmt: skip
             gave_way = any(isinstance(each.message, MemoryWarning) for each in notes)
             if gave_way and options.max_memory is None:

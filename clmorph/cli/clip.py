@@ -1,16 +1,12 @@
 """The command ``clmorph morph`` with a clip: one becomes the other while both play."""
 
-from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
-from clmorph._shared.printable import printable
 from clmorph.cli.common import read_picture
 from clmorph.cli.request import Request
 from clmorph.clips.reading import is_clip
 from clmorph.errors import InputError
 from clmorph.images.resizing import as_unit
-from clmorph.output.save import Output
 from clmorph.pipeline.clip_morph import EVERY, clip_film
 from clmorph.pipeline.clip_writing import check_clip_outputs, write_clip_film
 
@@ -58,13 +54,4 @@ def run_clips(request: Request) -> None:
             "sizes": [list(film.size)],
             **parameters,
         }
-    request.finish(summary, stages, partial(_last_line, places))
-
-
-def _last_line(places: Sequence[Output], summary: dict[str, Any]) -> str:
-    """Return the summary of the run for people."""
-    names = ", ".join(printable(place.path) for place in places)
-    return (
-        f"{names}: {summary['frames']} frames, {summary['frames'] / summary['fps']:.3g} s, made in "
-        f"{summary['seconds']['total']:.1f} s"
-    )
+    request.finish(summary, stages, f"{frames} frames, {frames / summary['fps']:.3g} s")

@@ -10,8 +10,7 @@ from clmorph.backends.interface import Operations
 from clmorph.cli.terminal import Stages
 from clmorph.images.pixels import as_rgb, fit, read_image
 from clmorph.output.playback import Motion
-from clmorph.output.recording import recorded
-from clmorph.output.save import Output, write_all
+from clmorph.output.save import Output, recorded_for, write_all
 from clmorph.pipeline.morph import morph
 
 #: Pixels along a block of the enlarged sprite, and pixels along the photograph.
@@ -35,10 +34,9 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     outputs = [Output(file) for file in files]
     sprite, photo = demo_images()
     result = morph(sprite, photo, backend=operations, progress=stages)
-    with recorded(
-        [result], Motion(), keep=True, parameters=result.parameters, folder=folder,
-        progress=stages,
-    ) as recording:  # fmt: skip
+    with recorded_for(
+        outputs, [result], Motion(), parameters=result.parameters, progress=stages
+    ) as recording:
         write_all(
             outputs, recording,
             report=lambda output, share: stages(f"write {output.path.name}", share),

@@ -1,7 +1,6 @@
 """The command ``clmorph mix``: pictures between several pictures, as a grid or as a film."""
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 from clmorph._shared.printable import printable
@@ -9,7 +8,6 @@ from clmorph.cli.common import chosen_preset, found_guides, note_thin
 from clmorph.cli.request import Request
 from clmorph.cli.terminal import say
 from clmorph.errors import InputError
-from clmorph.output.save import Output
 from clmorph.pipeline.maps import NO_MAPS
 from clmorph.pipeline.mixing.mix import check_images, mixes_of
 from clmorph.pipeline.mixing.mixes import pairs_of
@@ -75,7 +73,11 @@ def run_mix(request: Request) -> None:
             )
             summary |= {"frames": frames, "duration": round(seconds, 6)}
         summary |= parameters
-    request.finish(summary, stages, partial(_last_line, places))
+    number = summary.get("frames")
+    what = f"{len(mixes)} mixes" if number is None else f"{number} frames"
+    if number is not None and any(place.format.animated for place in places):
+        what += f", {summary['duration']:.3g} s a round"
+    request.finish(summary, stages, what)
 
 
 def weights_of(texts: Sequence[str], count: int) -> list[list[float]]:
@@ -92,13 +94,3 @@ def weights_of(texts: Sequence[str], count: int) -> list[list[float]]:
                 "each picture, such as " + ",".join("1" * count)
             )
     return found
-
-
-def _last_line(places: Sequence[Output], summary: dict[str, Any]) -> str:
-    """Return the summary of the run for people."""
-    names = ", ".join(printable(place.path) for place in places)
-    number = summary.get("frames")
-    what = f"{summary['mixes']} mixes" if number is None else f"{number} frames"
-    if number is not None and any(place.format.animated for place in places):
-        what += f", {summary['duration']:.3g} s a round"
-    return f"{names}: {what}, made in {summary['seconds']['total']:.1f} s"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.printable import printable, size_text
+from clmorph._shared.printable import size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
 from clmorph.cli.common import (
@@ -37,8 +37,8 @@ from clmorph.images.detail import is_pixel_art
 from clmorph.measures.pixel_blocks import block_side, solved_size
 from clmorph.output.framing import enlargement_note
 from clmorph.output.playback import held_frames, motion_of
-from clmorph.output.recording import Recording, recorded
-from clmorph.output.save import PACE, SIZES, Output, write_all
+from clmorph.output.recording import Recording
+from clmorph.output.save import PACE, SIZES, Output, recorded_for, write_all
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.guides import Guided
 from clmorph.pipeline.maps import NO_MAPS, Maps
@@ -165,14 +165,11 @@ def run_morph(request: Request) -> None:
         for kind in (MemoryWarning, PruningWarning):
             warnings.simplefilter("always", kind)
         warnings.showwarning = partial(note_warning, notes)
-        with recorded(
-            run.morphs(pictures, operations, stages), run.motion, n_morphs=len(pictures) - 1,
-            reverse=run.options.reverse,
-            exact=any(place.format.exact for place in places),
-            keep=any(place.format.keep for place in places),
+        with recorded_for(
+            places, run.morphs(pictures, operations, stages), run.motion,
+            n_morphs=len(pictures) - 1, reverse=run.options.reverse,
             pixelated=all(map(is_pixel_art, pictures)),
-            parameters=request.metadata(run.options, operations),
-            folder=places[0].folder, progress=stages,
+            parameters=request.metadata(run.options, operations), progress=stages,
         ) as film:  # fmt: skip
             gave_way = any(isinstance(each, MemoryWarning) for each in notes)
             if gave_way and run.options.max_memory is None:
@@ -192,7 +189,11 @@ def run_morph(request: Request) -> None:
     if preset is not None:
         summary["preset"] = preset
     summary["found"] = run.guide.found
-    request.finish(summary, stages, partial(_last_line, run))
+    lasting = ""
+    if any(place.format.animated for place in places):
+        lasting = f", {summary['duration']:.3g} s a round"
+    worst = max(run.solved, key=lambda potentials: potentials.residual)
+    request.finish(summary, stages, f"{len(film)} frames{lasting}", f"; {worst.message}")
 
 
 def _shape(picture: NDArray[np.float64]) -> tuple[int, int, int]:
@@ -231,19 +232,6 @@ def _summary(run: _Run, film: Recording, notes: list[Warning]) -> dict[str, Any]
         "notes": list(map(str, notes)),
         **film.parameters,
     }
-
-
-def _last_line(run: _Run, summary: dict[str, Any]) -> str:
-    """Return the summary of the run for people."""
-    worst = max(run.solved, key=lambda potentials: potentials.residual)
-    lasting = ""
-    if any(output.format.animated for output in run.outputs):
-        lasting = f", {summary['duration']:.3g} s a round"
-    names = ", ".join(printable(output.path) for output in run.outputs)
-    return (
-        f"{names}: {summary['frames']} frames{lasting}, made in "
-        f"{summary['seconds']['total']:.1f} s; {worst.message}"
-    )
 
 
 def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:

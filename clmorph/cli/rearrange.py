@@ -1,10 +1,7 @@
 """The command ``clmorph rearrange``: the pixels of one picture move to form the next one."""
 
 from collections.abc import Iterator, Sequence
-from functools import partial
-from typing import Any
 
-from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.cli.common import note_thin
@@ -13,8 +10,7 @@ from clmorph.cli.terminal import Stages
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.resizing import as_unit
 from clmorph.output.playback import held_frames, motion_of
-from clmorph.output.recording import recorded
-from clmorph.output.save import Output, write_all
+from clmorph.output.save import recorded_for, write_all
 from clmorph.pipeline.rearrange import arranged
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.rearrangement import Rearrangement
@@ -34,14 +30,11 @@ def run_rearrange(request: Request) -> None:
     done: list[dict[str, float]] = []
     with request.stages() as stages:
         stages.count("preparation")
-        with recorded(
-            _chain(pictures, options, operations, stages, done), motion,
+        with recorded_for(
+            places, _chain(pictures, options, operations, stages, done), motion,
             n_morphs=len(pictures) - 1, reverse=options.reverse,
-            exact=any(place.format.exact for place in places),
-            keep=any(place.format.keep for place in places),
             pixelated=is_pixel_art(as_unit(pictures[0])),
-            parameters=request.metadata(options, operations),
-            folder=places[0].folder, progress=stages,
+            parameters=request.metadata(options, operations), progress=stages,
         ) as film:  # fmt: skip
             write_all(
                 places, film, options,
@@ -55,7 +48,9 @@ def run_rearrange(request: Request) -> None:
                 "assignments": done,
                 **film.parameters,
             }
-    request.finish(summary, stages, partial(_last_line, places))
+    request.finish(
+        summary, stages, f"{len(film)} frames", f"; the arrangement costs {_proof(done)}"
+    )
 
 
 def _chain(
@@ -75,16 +70,11 @@ def _chain(
         yield found
 
 
-def _last_line(places: Sequence[Output], summary: dict[str, Any]) -> str:
-    """Return the summary of the run for people."""
-    names = ", ".join(printable(place.path) for place in places)
+def _proof(assignments: Sequence[dict[str, float]]) -> str:
+    """Return what is proven of the worst one, in words."""
     worst = max(
         (each["cost"] / each["lower_bound"] - 1 if each["lower_bound"] > 0 else float("inf"))
         if each["cost"] > 0 else 0.0
-        for each in summary["assignments"]
+        for each in assignments
     )  # fmt: skip
-    proof = f"at most {worst:.2%} above the cheapest" if worst < float("inf") else "no bound"
-    return (
-        f"{names}: {summary['frames']} frames, made in {summary['seconds']['total']:.1f} s; "
-        f"the arrangement costs {proof}"
-    )
+    return f"at most {worst:.2%} above the cheapest" if worst < float("inf") else "no bound"

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from clmorph._shared.printable import printable
 from clmorph.cli.common import note_warning, quiet_libraries, read_picture
 from clmorph.cli.request import Request
 from clmorph.clips.reading import is_clip
@@ -75,7 +74,12 @@ def run_recolor(request: Request, size: int | None) -> None:
             "mean_change": round(float(np.abs(found - photo)[..., :3].mean()), 6),
             **parameters,
         }
-    request.finish(summary, stages, partial(_last_line, request))
+    changed = 255 * summary["mean_change"]
+    request.finish(
+        summary, stages,
+        f"{photo.shape[1]} x {photo.shape[0]} pixels, colors changed by {changed:.0f} of 255 on "
+        "average",
+    )  # fmt: skip
 
 
 def _recolor_clip(request: Request) -> None:
@@ -116,7 +120,8 @@ def _recolor_clip(request: Request) -> None:
             "frames": counts[0],
             **parameters,
         }
-    request.finish(summary, stages, partial(_last_line_of_clip, request))
+    width, height = recoloring.size
+    request.finish(summary, stages, f"{counts[0]} frames of {width} x {height} pixels")
 
 
 def _read_lut(request: Request) -> Lut | None:
@@ -140,22 +145,3 @@ def _read_mask(request: Request, shape: Sequence[int]) -> Any:
         )
     gray = pixels[..., :3] @ LUMINANCE
     return np.clip(gray * (pixels[..., 3] if pixels.shape[2] == 4 else 1.0), 0.0, 1.0)
-
-
-def _last_line_of_clip(request: Request, summary: dict[str, Any]) -> str:
-    """Return the summary of the run for people."""
-    names = ", ".join(printable(path) for path in summary["outputs"])
-    (width, height), seconds = summary["size"], summary["seconds"]["total"]
-    return (
-        f"{names}: {summary['frames']} frames of {width} x {height} pixels, made in {seconds:.1f} s"
-    )
-
-
-def _last_line(request: Request, summary: dict[str, Any]) -> str:
-    """Return the summary of the run for people."""
-    names = ", ".join(printable(path) for path in summary["outputs"])
-    width, height = summary["size"]
-    return (
-        f"{names}: {width} x {height} pixels, colors changed by {255 * summary['mean_change']:.0f} "
-        f"of 255 on average, made in {summary['seconds']['total']:.1f} s"
-    )

@@ -12,6 +12,7 @@ import click
 
 from clmorph._shared.files import check_apart, is_standard_output
 from clmorph._shared.options import Options
+from clmorph._shared.printable import printable
 from clmorph.backends.interface import Operations
 from clmorph.cli.common import beside_entries, open_backend, read_picture, recipe_places
 from clmorph.cli.terminal import Stages
@@ -104,14 +105,14 @@ class Request:
             found[path] = json.dumps(made, indent=2) + "\n"
         return found
 
-    def finish(
-        self, summary: dict[str, Any], stages: Stages, last_line: Callable[[dict[str, Any]], str]
-    ) -> None:
-        """Print the summary, for programs or as one line."""
+    def finish(self, summary: dict[str, Any], stages: Stages, what: str, more: str = "") -> None:
+        """Print the summary for programs, or in one line what was made, how fast, and `more`."""
         seconds = {name: round(value, 3) for name, value in stages.seconds.items()}
         seconds["total"] = round(time.perf_counter() - self.began, 3)
         summary["seconds"] = seconds
-        text = json.dumps(summary) if self.as_json else last_line(summary)
+        names = ", ".join(map(printable, [*self.outputs, *self.tables]))
+        line = f"{names}: {what}, made in {seconds['total']:.1f} s{more}"
+        text = json.dumps(summary) if self.as_json else line
         click.echo(text, err=any(map(is_standard_output, self.outputs)))
 
 

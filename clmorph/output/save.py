@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -32,7 +33,7 @@ from clmorph.output.formats.solved import SAVED as SAVED_RESULTS
 from clmorph.output.metadata import checked_parameters
 from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.output.playback import Motion, motion_of
-from clmorph.output.recording import Recording, StageProgress, recorded
+from clmorph.output.recording import Drawn, Recording, StageProgress, recorded
 from clmorph.output.together import write_together
 from clmorph.transport.divergence import Divergence
 from clmorph.transport.matching import Assignment
@@ -42,7 +43,7 @@ from clmorph.transport.potentials import Potentials
 #: The options of `save`.
 SAVED = ("fps", "duration", "hold", "loop", "reverse", *specifications(FrameStyle))
 
-__all__ = ["FORMATS", "PACE", "SIZES", "Output", "metadata_of", "save", "write_all"]
+__all__ = ["FORMATS", "PACE", "SIZES", "Output", "metadata_of", "recorded_for", "save", "write_all"]
 
 
 class Output:
@@ -99,6 +100,16 @@ class Output:
             )
 
 
+def recorded_for(
+    outputs: Sequence[Output], morphs: Iterable[Drawn], motion: Motion, **more: Any
+) -> AbstractContextManager[Recording]:
+    """Return what `recorded` returns, with all that the formats of some files need."""
+    return recorded(
+        morphs, motion, exact=any(each.format.exact for each in outputs),
+        keep=any(each.format.keep for each in outputs), folder=outputs[0].folder, **more,
+    )  # fmt: skip
+
+
 def write_all(
     outputs: Sequence[Output],
     recording: Recording,
@@ -106,10 +117,7 @@ def write_all(
     report: Callable[[Output, float], None] | None = None,
     texts: Mapping[Path, str] | None = None,
 ) -> None:
-    """Write a recording, and `texts` by their paths, to files: all of them whole, or none.
-
-    The recording was made with the `exact` and `keep` that the formats need.
-    """
+    """Write a recording that was made for files, and `texts` by their paths: all whole, or none."""
 
     def write(output: Output, new: Path) -> None:
         report_share = partial(report, output) if report else (lambda share: None)
@@ -213,11 +221,9 @@ def save(
                 "morphs: expected each to begin with the picture that the one before ends with"
             )
     metadata = checked_parameters(metadata_of(chain, options) if parameters is None else parameters)
-    with recorded(
-        chain, motion, n_morphs=len(chain), reverse=options.reverse,
-        exact=output.format.exact, keep=output.format.keep,
-        pixelated=all(morph.pixelated for morph in chain), parameters=metadata,
-        folder=output.folder, progress=progress,
+    with recorded_for(
+        [output], chain, motion, n_morphs=len(chain), reverse=options.reverse,
+        pixelated=all(morph.pixelated for morph in chain), parameters=metadata, progress=progress,
     ) as recording:  # fmt: skip
         write_all([output], recording, options, lambda place, share: report(f"write {path}", share))
 

@@ -97,7 +97,7 @@ def test_signals_leave_nothing(number, code, word, monkeypatch, capfd):
 
 
 @posix
-@pytest.mark.parametrize("moment", ["fitted", "read_picture", "recorded"])
+@pytest.mark.parametrize("moment", ["fitted", "read_picture", "recorded_for"])
 def test_signals_at_other_moments(moment, monkeypatch, capfd):
     def kill(*arguments, **options):
         os.kill(os.getpid(), signal.SIGTERM)

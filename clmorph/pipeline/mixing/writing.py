@@ -13,8 +13,8 @@ from clmorph.errors import OutputError
 from clmorph.output.metadata import as_png_info
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import held_frames, motion_of
-from clmorph.output.recording import Drawn, recorded
-from clmorph.output.save import Output, write_all
+from clmorph.output.recording import Drawn
+from clmorph.output.save import Output, recorded_for, write_all
 from clmorph.output.together import write_together
 from clmorph.pipeline.options import MorphOptions
 
@@ -72,10 +72,9 @@ def write_film(
     report = progress or (lambda stage, share: None)
     motion = motion_of(options, held_frames(len(legs) + 1, options.n_frames))
     style = FrameStyle(**options.of(FrameStyle))
-    with recorded(
-        legs, motion, n_morphs=len(legs), reverse=options.reverse,
-        exact=any(output.format.exact for output in outputs), pixelated=pixelated,
-        parameters=metadata, folder=outputs[0].folder, progress=report,
+    with recorded_for(
+        outputs, legs, motion, n_morphs=len(legs), reverse=options.reverse, pixelated=pixelated,
+        parameters=metadata, progress=report,
     ) as film:  # fmt: skip
         write_all(
             outputs, film, style,
