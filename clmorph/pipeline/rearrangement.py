@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from os import PathLike
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,17 +12,13 @@ from numpy.typing import NDArray
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_number
 from clmorph.backends.interface import Operations
-from clmorph.frames.canvas import Canvas
 from clmorph.frames.cells import mirrored, owners_at
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
-from clmorph.frames.render import Sums, Widths, check_widths
-from clmorph.frames.sequence import FrameSequence
 from clmorph.images.detail import is_pixel_art
 from clmorph.measures.measure import Measure
-from clmorph.output.html import repr_html
-from clmorph.output.save import save
+from clmorph.pipeline.film import Film, picture_of
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recipe import recipe
 from clmorph.transport.assignment import Indices
@@ -32,7 +27,7 @@ from clmorph.transport.potentials import Potentials
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Rearrangement(FrameSequence):
+class Rearrangement(Film):
     """The pixels of image A on their way to form image B: a sequence of frames, drawn on demand.
 
     ``len(found)`` is the number of frames and ``found[i]`` is the frame at ``times[i]``.
@@ -109,19 +104,6 @@ class Rearrangement(FrameSequence):
         """Whether image A is pixel art."""
         return is_pixel_art(self._pixels.astype(float))
 
-    def canvas(self, t: float) -> Canvas:
-        """Return the canvas at time t, which has the size of A.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import clmorph
-        >>> a = np.array([[0.0, 0.25, 0.75, 1.0]])
-        >>> clmorph.rearrange(a, a, backend="numpy").canvas(0.5).shape
-        (1, 4)
-        """
-        return self._renderer.canvas(check_number("t", t, 0.0, 1.0))
-
     def frame(self, t: float) -> NDArray[np.float32]:
         """Draw the pixels at time t of their straight ways: each place shows the nearest one.
 
@@ -155,67 +137,9 @@ class Rearrangement(FrameSequence):
         places = np.floor(np.indices(shape) - t * ways[:, nearest] + 0.5).astype(np.intp)
         return self._pixels[tuple(mirrored(places, shape))]
 
-    def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
-        """Render colors, coverage and density of the pixels as splats at time t.
-
-        Parameters
-        ----------
-        t : float in [0, 1]
-        widths : Widths, optional
-            Kernel widths, in place of half a pixel.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import clmorph
-        >>> a = np.array([[0.0, 0.25, 0.75, 1.0]])
-        >>> clmorph.rearrange(a, a, backend="numpy").sums(0.5).coverage.shape
-        (1, 4)
-        """
-        t = check_number("t", t, 0.0, 1.0)
-        return self._renderer.sums(t, check_widths(widths))
-
-    def save(self, path: str | PathLike[str], **options: Any) -> None:
-        """Write the frames to a file whose ending selects the format.
-
-        Parameters
-        ----------
-        path : path
-            Path of the file, such as ``out.gif``, ``out.mp4`` or ``out.html``.
-        **options
-            See `clmorph.save`.
-
-        Raises
-        ------
-        InputError
-            If an option cannot be used.
-        OutputError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> import tempfile
-        >>> from pathlib import Path
-        >>> import numpy as np
-        >>> import clmorph
-        >>> a = np.eye(4)
-        >>> found = clmorph.rearrange(a, a[::-1], n_frames=3, backend="numpy")
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     found.save(Path(folder) / "out.gif")
-        ...     sorted(path.name for path in Path(folder).iterdir())
-        ['out.gif']
-        """
-        save(self, path, **options)
-
-    def _repr_html_(self) -> str:
-        """Show the frames in a notebook as an interactive page."""
-        return repr_html(self)
-
     @cached_property
     def _pixels(self) -> NDArray[np.float32]:
-        channels = [self.source.colors]
-        channels += [] if self.source.alpha is None else [self.source.alpha[:, None]]
-        return np.hstack(channels).reshape(*self.source.shape, -1).astype(np.float32)
+        return picture_of(self.source).astype(np.float32)
 
     @cached_property
     def _renderer(self) -> FrameRenderer:

@@ -3,7 +3,6 @@
 from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass, field
-from os import PathLike
 from typing import Any, overload
 
 import numpy as np
@@ -14,19 +13,16 @@ from clmorph._shared.validation import check_integer, check_number, check_progre
 from clmorph.backends.arrays import pyopencl_needed
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
-from clmorph.frames.canvas import Canvas
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.layers import Layers
 from clmorph.frames.particles import Particles
-from clmorph.frames.render import Sums, Widths, check_widths
-from clmorph.frames.sequence import Frame, FrameSequence
+from clmorph.frames.sequence import Frame
 from clmorph.frames.spread import SpreadRenderer
 from clmorph.images.detail import is_pixel_art
 from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import solved_size
-from clmorph.output.html import repr_html
-from clmorph.output.save import save
+from clmorph.pipeline.film import Film, picture_of
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.recipe import recipe
 from clmorph.transport.barycentric import Barycentric
@@ -35,7 +31,7 @@ from clmorph.transport.potentials import Potentials
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Morph(FrameSequence):
+class Morph(Film):
     """A morph between two images: a sequence of frames, rendered on demand.
 
     ``len(morph)`` is the number of frames and ``morph[i]`` is the frame at ``times[i]``. Slices and
@@ -199,21 +195,6 @@ class Morph(FrameSequence):
             return super().iter_frames(first)
         return self._renderer.frames(first)
 
-    def canvas(self, t: float) -> Canvas:
-        """Return the canvas at time t.
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-        >>> morph.canvas(0.5).shape
-        (6, 6)
-        """
-        return self._renderer.canvas(check_number("t", t, 0.0, 1.0))
-
     @property
     def detail(self) -> str:
         """What draws the frames: "layers", "cells", "pixels" or "particles".
@@ -344,33 +325,6 @@ class Morph(FrameSequence):
         """
         return self.sums(t).coverage.astype(np.float32)
 
-    def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
-        """Render colors, coverage and density at time t, without the correction of the ends.
-
-        Parameters
-        ----------
-        t : float in [0, 1]
-        widths : Widths, optional
-            Kernel widths, in place of those of the morph.
-
-        Returns
-        -------
-        Sums
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-        >>> sums = morph.sums(0.5)
-        >>> sums.colors.shape, sums.coverage.shape, sums.density.shape
-        ((6, 6, 3), (6, 6), (6, 6))
-        """
-        t = check_number("t", t, 0.0, 1.0)
-        return self._renderer.sums(t, check_widths(widths))
-
     @property
     def frames(self) -> list[NDArray[np.float32]]:
         """All frames, at `times`; the first access renders and caches them."""
@@ -382,49 +336,7 @@ class Morph(FrameSequence):
         """Whether both images are pixel art."""
         if self.pictures is not None:
             return all(is_pixel_art(picture) for picture in self.pictures)
-        images = []
-        for measure in (self.source, self.target):
-            channels = [measure.colors]
-            channels += [] if measure.alpha is None else [measure.alpha[:, None]]
-            images.append(np.hstack(channels).reshape(*measure.shape, -1))
-        return all(is_pixel_art(image) for image in images)
-
-    def save(self, path: str | PathLike[str], **options: Any) -> None:
-        """Write the morph to a file whose ending selects the format.
-
-        Parameters
-        ----------
-        path : path
-            Path of the file, such as ``out.gif``, ``out.mp4`` or ``out.html``.
-        **options
-            See `clmorph.save`.
-
-        Raises
-        ------
-        InputError
-            If an option cannot be used.
-        OutputError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> import tempfile
-        >>> from pathlib import Path
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     morph.save(Path(folder) / "out.gif", fps=10)
-        ...     sorted(path.name for path in Path(folder).iterdir())
-        ['out.gif']
-        """
-        save(self, path, **options)
-
-    def _repr_html_(self) -> str:
-        """Show the morph in a notebook as an interactive page."""
-        return repr_html(self)
+        return all(is_pixel_art(picture_of(measure)) for measure in (self.source, self.target))
 
 
 def keep_frames(morph: Morph, progress: StageProgress | None = None) -> None:
