@@ -28,6 +28,7 @@ from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import PlanSizeError
 from clmorph.images import color as colors
 
+posix = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 WORKS = {"usable": True, "reason": "", "pairs_per_second": 1.0}
 
 
@@ -92,8 +93,10 @@ def test_threads_share_one_backend(monkeypatch):
     ("body", "words", "lasting"),
     [
         ("import time; time.sleep(60)", "within 1 s", False),
-        ("import os; os.abort()", "crashed", True),
-        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "killed", False),
+        pytest.param("import os; os.abort()", "crashed", True, marks=posix),
+        pytest.param(
+            "import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "killed", False, marks=posix
+        ),
         ("import nothing_of_that_name", "status 1: ModuleNotFoundError", False),
         (f"print({trial.LOADED!r}, flush=True); raise SystemExit(3)", "status 3", True),
         ("print('noise')", "status 0", False),

@@ -3,7 +3,6 @@
 import builtins
 import json
 import os
-import pty
 import re
 import shlex
 import signal
@@ -15,12 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from programs import COMMAND
 
 import clmorph
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.cli.main import main
-
-COMMAND = Path(sys.executable).with_name("clmorph")
 
 
 @pytest.fixture
@@ -327,6 +325,7 @@ def test_a_summary_for_programs(pictures, capfd):
 def test_progress_is_shown_to_people_only(pictures):
     """Each stage with its time left and the solver's residual, on a terminal; else nothing."""
     arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "4"]
+    pty = pytest.importorskip("pty", reason="no terminals of POSIX", exc_type=ImportError)
     leader, follower = pty.openpty()
     with subprocess.Popen(
         [COMMAND, *arguments], stdout=subprocess.DEVNULL, stderr=follower,

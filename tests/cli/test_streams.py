@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from programs import program
+from programs import COMMAND, program
 
 import clmorph
 from clmorph.cli.main import main
 from clmorph.output.save import FORMATS
 
-COMMAND = Path(sys.executable).with_name("clmorph")
 QUICK = ["--frames", "3", "--backend", "numpy", "--size", "8", "--blur", "0.2"]
 MORPH = ["morph", "a.png", "b.jpg", *QUICK]
 FILES = [name for name, kind in FORMATS.items() if not kind.folder]

@@ -2,12 +2,17 @@
 
 import os
 import shutil
+import sysconfig
 
 import pytest
+
+#: The command line as pip installs it, which is not always beside the interpreter.
+COMMAND = shutil.which("clmorph", path=sysconfig.get_path("scripts")) or "clmorph"
 
 #: What CLMORPH_TEST_REQUIRE can name beside devices, and the programs that it stands for.
 PROGRAMS = {
     "clang": ("clang-19", "clang"),
+    "clang-19": ("clang-19",),
     "chromium": ("chromium", "chromium-browser", "google-chrome"),
     "ffmpeg": ("ffmpeg",),
     "ffprobe": ("ffprobe",),

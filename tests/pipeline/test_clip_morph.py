@@ -4,13 +4,12 @@ import itertools
 import json
 import shutil
 import subprocess
-import sys
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
-from programs import program
+from programs import COMMAND, program
 
 import clmorph
 from clmorph import InputError
@@ -227,7 +226,7 @@ def test_a_film_is_made_again_from_its_recipe(device, films):
     assert main(["morph", "--config", "a.mp4", "-o", "b.mp4", *usual[:2]]) == 0
     assert Path("a.mp4").read_bytes() == Path("b.mp4").read_bytes()
     assert Fraction(probed("b.mp4")[0]["r_frame_rate"]) == 20
-    command = [Path(sys.executable).with_name("clmorph"), "morph", "still.png", "-"]
+    command = [COMMAND, "morph", "still.png", "-"]
     done = subprocess.run(
         [*command, "-o", "-", "--format", "mp4", *usual], input=Path("silent.mkv").read_bytes(),
         capture_output=True, check=True,

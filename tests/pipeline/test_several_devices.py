@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 import time
 import weakref
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import TESTED
+from programs import COMMAND
 from several import KINDS, pictures
 
 import clmorph
@@ -17,7 +17,6 @@ from clmorph.backends.multi_device import members_of
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.registration import Scene
 
-COMMAND = Path(sys.executable).with_name("clmorph")
 #: The coverage below which a pixel is compared more loosely.
 THIN = 0.01
 

@@ -24,7 +24,7 @@ def test_the_table_has_every_kernel():
 @pytest.mark.parametrize("target", kernel_limits.AMD)
 def test_compiled_kernels_are_within_it(target, monkeypatch):
     """CI runs the tool on all kernels and targets."""
-    monkeypatch.setattr(kernel_limits, "CLANG", [program("clang"), *kernel_limits.CLANG[1:]])
+    monkeypatch.setattr(kernel_limits, "CLANG", [program("clang-19"), *kernel_limits.CLANG[1:]])
     variant = Variant("sliced_ellpack.cl")
     found = kernel_limits.measure(target, variant)
     assert set(found) == set(KERNELS[variant.file])
@@ -50,7 +50,7 @@ def test_nothing_is_spilled_on_cards():
 @pytest.mark.parametrize("target", kernel_limits.AMD)
 def test_what_a_pair_takes_is_counted(target, monkeypatch):
     """From the loops that clang makes; with half as many rows a work-item reads twice as much."""
-    monkeypatch.setattr(kernel_limits, "CLANG", [program("clang"), *kernel_limits.CLANG[1:]])
+    monkeypatch.setattr(kernel_limits, "CLANG", [program("clang-19"), *kernel_limits.CLANG[1:]])
     found = kernel_limits.slots(target)
     assert all(n <= most + 0.05 for n, most in zip(found, SLOTS[target], strict=True))
     fewer = replace(gpu_constants(256), rows=2)

@@ -254,7 +254,7 @@ def test_nothing_is_left_at_the_end(tmp_path, pictures):
         picture = pictures[0].read_bytes()
         assert asked(port, "POST", f"/tabs/{tab}/pictures?name=a.png", body=picture)[0] == 200
         assert len(list(tmp.rglob("a.png"))) == 1
-        process.send_signal(signal.SIGKILL)
+        process.kill()
         process.wait(20)
     assert len(list(tmp.rglob("a.png"))) == 1
     with served(tmp) as (process, port):
