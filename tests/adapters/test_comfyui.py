@@ -105,7 +105,7 @@ def test_nothing_heavy_is_imported():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_the_folder(tmp_path, capfd):
+def test_the_folder(tmp_path, refused):
     """One file of one line; again it is written as it was; other folders are refused."""
     folder = comfyui.make_folder(tmp_path / "ComfyUI")
     for _ in range(2):
@@ -117,17 +117,13 @@ def test_the_folder(tmp_path, capfd):
     assert set(classes) == set(names) == set(NODE_CLASS_MAPPINGS)
     (made / "other.py").write_text("")
     (made / "__init__.py").write_text("mine")
-    capfd.readouterr()
     for place, words in (
         (tmp_path, "is not a folder of ComfyUI (it has no custom_nodes, nodes.py, comfy)"),
         (folder / "custom_nodes", "is not a folder of ComfyUI"),
         (tmp_path / "missing", "is not a folder of ComfyUI"),
         (folder, "was not written by this command"),
     ):
-        assert main(["comfyui", str(place)]) == 2
-        told = capfd.readouterr().err.splitlines()
-        assert len(told) == 1
-        assert words in told[0]
+        assert words in refused("comfyui", place)
     assert (made / "__init__.py").read_text() == "mine"
 
 

@@ -723,7 +723,7 @@ class TestWhatAMorphWouldDraw:
 
     @pytest.mark.full
     @pytest.mark.parametrize("preset", list(PRESETS))
-    def test_in_every_preset(self, preset, tmp_path, capfd):
+    def test_in_every_preset(self, preset, tmp_path, capfd, refused):
         """The command line's limits, in proportion to the size of the pictures."""
         for name in ("astronaut", "coffee"):
             Image.fromarray(getattr(data, name)()).save(tmp_path / f"{name}.png")
@@ -735,5 +735,5 @@ class TestWhatAMorphWouldDraw:
         summary = json.loads(capfd.readouterr().out)
         # Thinned to the limit, but never below one a pixel.
         assert summary["particles"]["count"] <= 3000 + 2 * (40 * 40 + 40 * 27)
-        assert main(["inspect", *pictures, "--size", "40", "--max-memory", "1e-6"]) == 2
-        assert "--max-memory 1e-06 GB: expected at least" in capfd.readouterr().err
+        told = refused("inspect", *pictures, "--size", "40", "--max-memory", "1e-6")
+        assert "--max-memory 1e-06 GB: expected at least" in told

@@ -173,12 +173,10 @@ def test_check_of_some_kernels(device):
 
 
 @pytest.mark.needs_device
-def test_an_unknown_kernel_is_told(capfd):
-    assert main(["check", "--device", TESTED[0].index, "--kernel", "grumpy"]) == 2
-    err = capfd.readouterr().err
-    assert err.count("\n") == 1
+def test_an_unknown_kernel_is_told(refused):
+    told = refused("check", "--device", TESTED[0].index, "--kernel", "grumpy")
     for words in ("grumpy", "--kernel", *KERNELS, "mark_columns", "sum_columns"):
-        assert words in err
+        assert words in told
 
 
 def test_every_kernel_has_a_comparison():
@@ -415,15 +413,13 @@ def test_unknown_quirks(device, monkeypatch):
 
 
 @pytest.mark.needs_device
-def test_unknown_quirks_are_no_property_of_a_device(asked, monkeypatch, capfd, tmp_path):
+def test_unknown_quirks_are_no_property_of_a_device(asked, monkeypatch, refused, tmp_path):
     monkeypatch.setenv("CLMORPH_QUIRKS", "grumpy")
     index = TESTED[0].index
     for words in (["check"], ["check", "--device", index], ["check", "--all"], ["devices"]):
-        assert main(words) == 2
-        err = capfd.readouterr().err
-        assert err.count("\n") == 1
-        assert "CLMORPH_QUIRKS names 'grumpy': expected some of" in err
-        assert "unusable" not in err
+        told = refused(*words)
+        assert "CLMORPH_QUIRKS names 'grumpy': expected some of" in told
+        assert "unusable" not in told
     assert asked == []
     assert not (tmp_path / "devices").exists()
     monkeypatch.delenv("CLMORPH_QUIRKS")

@@ -42,19 +42,6 @@ def dumped(capfd, *arguments):
     return tomllib.loads(capfd.readouterr().out)
 
 
-def told(capfd, *arguments):
-    assert main(["morph", *arguments]) == 2
-    out, err = capfd.readouterr()
-    assert out == ""
-    lines = [
-        line
-        for line in err.splitlines()
-        if not line.startswith(("device:", "preset:", "memory:", "note:"))
-    ]
-    assert len(lines) == 1
-    return lines[0]
-
-
 def test_layers():
     assert layered([{"blur": 1, "reach": 2}, {"epsilon": 3}]) == {"reach": 2, "epsilon": 3}
     assert layered([{"epsilon": 3}, {"blur": 1}]) == {"blur": 1}
@@ -315,9 +302,9 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_broken_files_of_settings(name, capfd):
+def test_broken_files_of_settings(name, refused):
     Path(name).write_bytes(BROKEN[name])
-    line = told(capfd, "a.png", "b.png", "-o", "out.gif", "--config", name)
+    line = refused("morph", "a.png", "b.png", "-o", "out.gif", "--config", name)
     assert name in line
     assert not Path("out.gif").exists()
 
@@ -360,16 +347,15 @@ def test_a_picture_that_has_changed_is_noted(capfd):
     assert "b.png is not the file that was used then" in " ".join(capfd.readouterr().err.split())
 
 
-def test_a_picture_that_is_gone_is_said(capfd):
+def test_a_picture_that_is_gone_is_said(refused):
     assert main(["morph", "a.png", "b.png", "-o", "out.png", "--frames", "3"]) == 0
     Path("b.png").unlink()
-    capfd.readouterr()
-    assert "b.png: no such file, but the settings name it" in told(
-        capfd, "--config", "out.png", "-o", "again.png"
+    assert "b.png: no such file, but the settings name it" in refused(
+        "morph", "--config", "out.png", "-o", "again.png"
     )
 
 
-def test_mistakes_in_files(capfd):
+def test_mistakes_in_files(refused):
     cases = {
         "colour_weight = 3": "unknown option 'colour_weight'; did you mean 'color_weight'?",
         "blur = ": "not TOML",
@@ -385,16 +371,16 @@ def test_mistakes_in_files(capfd):
     }
     for text, words in cases.items():
         Path("x.toml").write_text(text)
-        line = told(capfd, "a.png", "b.png", "-o", "o.gif", "--config", "x.toml")
+        line = refused("morph", "a.png", "b.png", "-o", "o.gif", "--config", "x.toml")
         assert any(word in line for word in words.split("|")), line
     for name, words in (
         ("missing.toml", "no such file"),
         ("a.png", "holds no parameters of clmorph"),
         (".", "folder without frames"),
     ):
-        assert words in told(capfd, "a.png", "b.png", "-o", "o.gif", "--config", name)
+        assert words in refused("morph", "a.png", "b.png", "-o", "o.gif", "--config", name)
     Path("text.json").write_text("{")
-    assert "cannot be read" in told(capfd, "--config", "text.json", "-o", "o.gif")
+    assert "cannot be read" in refused("morph", "--config", "text.json", "-o", "o.gif")
     assert not Path("o.gif").exists()
 
 
@@ -480,22 +466,22 @@ NO_NUMBERS = [
 
 
 @pytest.mark.parametrize("name", NUMERIC)
-def test_values_of_files_that_are_no_numbers(name, capfd):
+def test_values_of_files_that_are_no_numbers(name, refused):
     for toml, text in NO_NUMBERS:
         Path("x.toml").write_text(f"{name} = {toml}\n")
         Path("x.json").write_text(f'{{"clmorph": "1", "options": {{"{name}": {text}}}}}')
         # What a recipe says about limits counts for nothing.
         for file in ("x.toml", "x.json")[: 1 if name == "max_pixels" else 2]:
-            line = told(capfd, "a.png", "b.png", "-o", "o.gif", "--config", file,
+            line = refused("morph", "a.png", "b.png", "-o", "o.gif", "--config", file,
                         "--backend", "numpy")  # fmt: skip
             assert len(line) < 400
             assert any(word in line for word in (file, name, name.replace("_", "-"))), line
 
 
 @pytest.mark.parametrize("value", ["5", '["a.gif", 5]', '""', '[""]', '"a\\u0000b"'])
-def test_names_of_files_that_are_none(value, capfd):
+def test_names_of_files_that_are_none(value, refused):
     Path("x.toml").write_text(f"output = {value}\n")
-    told(capfd, "a.png", "b.png", "--config", "x.toml")
+    refused("morph", "a.png", "b.png", "--config", "x.toml")
 
 
 def test_a_recipe_that_names_an_output_is_noted(capfd):

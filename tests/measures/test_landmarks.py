@@ -283,7 +283,7 @@ def test_the_divergence_of_frames_compares_pictures(rng):
     assert path_divergence(morph, [1.0])[0].value < 1e-4
 
 
-def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng):
+def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng, refused):
     monkeypatch.chdir(tmp_path)
     for name in "abc":
         Image.fromarray(rng.integers(0, 255, (12, 14, 3), np.uint8)).save(f"{name}.png")
@@ -324,12 +324,11 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng):
         "5,5:inf,3": "expected x,y:x',y' in pixels",
         "5,5:99,3": "outside image_b",
     }.items():
-        bad = ["morph", "a.png", "b.png", "-o", "x.gif", "--landmark", given, *options]
-        assert main(bad) == 2
-        assert told in capfd.readouterr().err
-    chain = ["morph", "a.png", "b.png", "c.png", "-o", "x.gif", "--landmark", "5,5:6,6", *options]
-    assert main(chain) == 2
-    assert "landmarks of one morph given: expected those of 2 morphs" in capfd.readouterr().err
+        one = "morph", "a.png", "b.png", "-o", "x.gif", "--landmark", given
+        assert told in refused(*one, *options)
+    chain = "morph", "a.png", "b.png", "c.png", "-o", "x.gif", "--landmark", "5,5:6,6"
+    told = refused(*chain, *options)
+    assert "landmarks of one morph given: expected those of 2 morphs" in told
     assert not (tmp_path / "x.gif").exists()
 
 
