@@ -17,6 +17,7 @@ import argparse
 import time
 
 import numpy as np
+from benching import OF_KERNELS, KernelClock, profiled
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 from skimage import data
@@ -24,6 +25,7 @@ from skimage.color import gray2rgb
 from skimage.transform import resize
 
 import clmorph
+from clmorph.backends.interface import Operations
 
 #: Unlike pictures of scikit-image: portraits, things, a drawing, textures, and a page.
 PAIRS = [
@@ -59,11 +61,11 @@ def clocks() -> np.ndarray:
     return np.array([time.perf_counter(), time.process_time()])
 
 
-def compared(name: str, x: np.ndarray, y: np.ndarray, device: str, repeats: int) -> None:
+def compared(name: str, x: np.ndarray, y: np.ndarray, backend: Operations, repeats: int) -> None:
     times = []
     for _ in range(repeats):
-        began = clocks()
-        found = clmorph.assignment(x, y, backend=device)
+        clock, began = KernelClock(backend), clocks()
+        found = clmorph.assignment(x, y, backend=backend)
         times.append(clocks() - began)
     ours = np.min(times, axis=0)
     began = clocks()
@@ -74,20 +76,27 @@ def compared(name: str, x: np.ndarray, y: np.ndarray, device: str, repeats: int)
         f"{name:>10} {len(x):6} x {len(y):6}: {ours[0]:.2f} s ({ours[1]:.2f} s of processors), "
         f"SciPy {theirs[0]:.2f} s ({theirs[1]:.2f} s), ratios {theirs[0] / ours[0]:.1f} "
         f"({theirs[1] / ours[1]:.1f}); relative difference of costs "
-        f"{found.cost / cost - 1:+.1e}, proven gap {found.gap:.1e}",
+        f"{found.cost / cost - 1:+.1e}, proven gap {found.gap:.1e}"
+        f"{told(clock)}",
         flush=True,
     )
 
 
-def proven(names: tuple[str, str], side: int, gap: float, device: str) -> None:
+def told(clock: KernelClock) -> str:
+    """Return what kernels took, for the end of a line."""
+    cells = zip(OF_KERNELS, clock.cells(), strict=True)
+    return "".join(f"; {title} {cell}" for title, cell in cells if cell)
+
+
+def proven(names: tuple[str, str], side: int, gap: float, backend: Operations) -> None:
     """Print how long a gap between two pictures takes."""
     clouds = pictures(side * side, names)
-    began = clocks()
-    found = clmorph.assignment(*clouds, gap=gap, backend=device)
+    clock, began = KernelClock(backend), clocks()
+    found = clmorph.assignment(*clouds, gap=gap, backend=backend)
     wall, own = clocks() - began
     print(
         f"{' and '.join(names)} {side}²: {wall:.1f} s ({own:.1f} CPU seconds), proven gap "
-        f"{found.gap:.2e}",
+        f"{found.gap:.2e}{told(clock)}",
         flush=True,
     )
 
@@ -102,21 +111,21 @@ def main() -> None:
     parser.add_argument("--gap", type=float, default=0.005, help="of --sides")
     parser.add_argument("--sides", type=int, nargs="*", default=[], help="of pictures")
     options = parser.parse_args()
-    rng = np.random.default_rng(0)
-    clmorph.assignment(rng.random((300, 5)), rng.random((300, 5)), backend=options.device)
+    rng, backend = np.random.default_rng(0), profiled(options.device)
+    clmorph.assignment(rng.random((300, 5)), rng.random((300, 5)), backend=backend)
     for side in options.sides:
         for names in PAIRS:
-            proven(names, side, options.gap, options.device)
+            proven(names, side, options.gap, backend)
     for n in [] if options.sides else options.sizes:
         for dimension in (2, 3, 5):
             clouds = rng.random((n, dimension)), rng.random((n, dimension))
-            compared(f"uniform {dimension}D", *clouds, options.device, options.repeats)
-        compared("pictures", *pictures(n), options.device, options.repeats)
+            compared(f"uniform {dimension}D", *clouds, backend, options.repeats)
+        compared("pictures", *pictures(n), backend, options.repeats)
         for name, clouds in hard(n, rng).items() if options.hard else ():
-            compared(name, *clouds, options.device, options.repeats)
+            compared(name, *clouds, backend, options.repeats)
     if options.rectangular:
         clouds = rng.random((6_667, 5)), rng.random((13_333, 5))
-        compared("uniform 5D", *clouds, options.device, options.repeats)
+        compared("uniform 5D", *clouds, backend, options.repeats)
 
 
 if __name__ == "__main__":

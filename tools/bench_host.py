@@ -27,8 +27,10 @@ from clmorph.backends.opencl.backend import OpenCLOperations
 SOFTMIN = "log_sum_exp"
 
 
-def kernel_seconds(operations: OpenCLOperations, solve: Any) -> tuple[float, float]:
-    """Return how long the kernels of a solve run on the device: softmins, and all of them."""
+def kernel_seconds(
+    operations: OpenCLOperations, solve: Any
+) -> tuple[float, float, tuple[float, str]]:
+    """Return how long the kernels of a solve run: softmins, all of them, and the longest launch."""
     profiling = cl.command_queue_properties.PROFILING_ENABLE
     queue = cl.CommandQueue(operations.context, operations.device, profiling)
     launch, events = cl.enqueue_nd_range_kernel, []
@@ -42,9 +44,9 @@ def kernel_seconds(operations: OpenCLOperations, solve: Any) -> tuple[float, flo
         mock.patch.object(cl, "enqueue_nd_range_kernel", launched),
     ):
         solve()
-    seconds = [(name, 1e-9 * (event.profile.end - event.profile.start)) for name, event in events]
-    softmins = sum(each for name, each in seconds if name == SOFTMIN)
-    return softmins, sum(each for _, each in seconds)
+    seconds = [(1e-9 * (event.profile.end - event.profile.start), name) for name, event in events]
+    softmins = sum(each for each, name in seconds if name == SOFTMIN)
+    return softmins, sum(each for each, _ in seconds), max(seconds)
 
 
 def main_thread_seconds(solve: Any) -> float:
@@ -87,7 +89,7 @@ def main() -> None:
     print_head(
         "device", "points", "solve, ms", "softmins, ms", "all kernels, ms", "softmins",
         "host per softmin, ms", "main thread outside waits, ms", "launches", "waits", "bytes read",
-        "bytes written",
+        "bytes written", "longest launch, ms",
     )  # fmt: skip
     for name in options.devices:
         operations = clmorph.get_backend(name)
@@ -108,13 +110,13 @@ def main() -> None:
             wall = min(seconds(solve) for _ in range(repeats))
             outside = min(main_thread_seconds(solve) for _ in range(repeats))
             timed = [kernel_seconds(operations, solve) for _ in range(repeats)]
-            own, kernels = (min(each) for each in zip(*timed, strict=True))
+            own, kernels, (longest, kernel) = (min(each) for each in zip(*timed, strict=True))
             moved = [count.n_bytes(kind) / softmins for kind in ("read", "write")]
             print(line(
                 name, n, f"{1e3 * wall:.1f}", f"{1e3 * own:.1f}", f"{1e3 * kernels:.1f}", softmins,
                 f"{1e3 * (wall - kernels) / softmins:.3f}", f"{1e3 * outside:.1f}",
                 f"{count.n_launches / softmins:.2f}", f"{count.n_waits / softmins:.2f}",
-                f"{moved[0]:.0f}", f"{moved[1]:.0f}",
+                f"{moved[0]:.0f}", f"{moved[1]:.0f}", f"{1e3 * longest:.1f} ({kernel})",
             ), flush=True)  # fmt: skip
 
 

@@ -20,17 +20,21 @@ from pathlib import Path
 import numpy as np
 import pyopencl as cl
 from benching import (
+    OF_KERNELS,
     CountedBuffer,
+    KernelClock,
     begin_memory,
     in_own_process,
     line,
     photographs,
     print_head,
+    profiled,
     resident_bytes,
 )
 from plain_options import COLOR_WEIGHT
 from solver_peers import BLUR, EPSILON, PEERS, REACH, RHO
 
+from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.select import get_backend
@@ -52,9 +56,8 @@ def problem(n: int):
     return [lift(image, COLOR_WEIGHT) for image in photographs((side, side))]
 
 
-def clmorph_solver(device: str, tol: float):
+def clmorph_solver(operations: Operations, tol: float):
     """Return ours on a device, to a residual of `tol` epsilon."""
-    operations = get_backend(device)
 
     def solve(source, target):
         result = sinkhorn(source, target, BLUR, REACH, tol, backend=operations)
@@ -68,7 +71,8 @@ def clmorph_solver(device: str, tol: float):
 
 def measure(name: str, tol: float, n: int, file: str) -> None:
     """Solve, print what it took, and leave the potentials in a file."""
-    solve = PEERS[name]() if name in PEERS else clmorph_solver(name, tol)
+    backend = None if name in PEERS else profiled(name)
+    solve = PEERS[name]() if backend is None else clmorph_solver(backend, tol)
     solve(*problem(256))
     pair = problem(n)
     if name == "OTT-JAX":
@@ -76,11 +80,11 @@ def measure(name: str, tol: float, n: int, file: str) -> None:
     before = begin_memory()
     seconds = []
     while len(seconds) < 7 and sum(seconds) < 5:
-        began = time.perf_counter()
+        clock, began = KernelClock(backend), time.perf_counter()
         f, g, count = solve(*pair)
         seconds.append(time.perf_counter() - began)
     np.savez(file, f=f, g=g)
-    record = {"seconds": float(np.median(seconds)), "iterations": count}
+    record = {"seconds": float(np.median(seconds)), "iterations": count, "kernels": clock.cells()}
     print(json.dumps(record | {"memory": resident_bytes("VmHWM") - before}))
 
 
@@ -122,12 +126,12 @@ def compare(n: int, names: list[str], devices) -> list[tuple[str, int, float]]:
     print(f"\n{n} x {n} points\n")
     print_head(
         "library", "s", "iterations", "10⁹ pairs/s", "residual, ε", "error", "peak memory, MB",
-        *(f"clmorph, {device.platform}: s (ratio)" for device in devices),
+        *OF_KERNELS, *(f"clmorph, {device.platform}: s (ratio)" for device in devices),
     )  # fmt: skip
     for name in names:
         theirs = judged(name, 0, n, truth, pair)
         if "failed" in theirs:
-            print(line(name, theirs["failed"], *[""] * (5 + len(devices))), flush=True)
+            print(line(name, theirs["failed"], *[""] * (7 + len(devices))), flush=True)
             continue
         cells = []
         for runs in ours.values():
@@ -153,7 +157,7 @@ def row(name: str, n: int, run: dict, more: list[str]) -> str:
     rate = 2 * run["iterations"] * n * n / run["seconds"] / 1e9
     return line(
         name, f"{run['seconds']:.3g}", run["iterations"], f"{rate:.2f}", f"{run['residual']:.1e}",
-        f"{run['error']:.1e}", f"{run['memory'] / 1e6:.0f}", *more,
+        f"{run['error']:.1e}", f"{run['memory'] / 1e6:.0f}", *run["kernels"], *more,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Shared by the benches: pictures, tables, memory, and cases that have a process of their own."""
+"""Shared by benches: pictures, tables, kernels, memory, and cases with a process of their own."""
 
 import json
 import subprocess
@@ -8,6 +8,13 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
+
+from clmorph.backends.interface import Operations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.select import get_backend
+
+#: Titles of `KernelClock.cells`.
+OF_KERNELS = "kernels, s", "longest launch, ms"
 
 
 def photographs(shape: tuple[int, int]) -> list[np.ndarray]:
@@ -28,6 +35,28 @@ def print_head(*cells: object) -> None:
     """Print the head of a Markdown table."""
     print(line(*cells))
     print(line(*["---"] * len(cells)), flush=True)
+
+
+def profiled(device: str) -> Operations:
+    """Return a backend whose kernels its own clock measures, if it is an OpenCL device."""
+    found = get_backend(device)
+    return OpenCLOperations(found.device, profiled=True) if hasattr(found, "device") else found
+
+
+class KernelClock:
+    """Seconds of a profiled device's kernels, and its longest launch, from now on."""
+
+    def __init__(self, operations: Operations | None) -> None:
+        self._work: Any = getattr(operations, "work", None)
+        if self._work is not None:
+            self._work.device_seconds, self._work.longest_launch = 0.0, (0.0, "")
+
+    def cells(self) -> tuple[str, str]:
+        """Return both for a table; nothing of a backend without kernels."""
+        if self._work is None:
+            return "", ""
+        longest, name = self._work.longest_launch
+        return f"{self._work.device_seconds:.3g}", f"{1e3 * longest:.1f} ({name})"
 
 
 def resident_bytes(which: str) -> int:
