@@ -406,15 +406,19 @@ class Operations(Protocol):
         """
 
     def draw_layers(
-        self, views: Sequence[LayerView], low: Float32, shape: tuple[int, int]
+        self,
+        views: Sequence[LayerView],
+        low: Float32,
+        shape: tuple[int, int],
+        rows: slice | None = None,
     ) -> Float32:
         """Draw two layers over one another: the sum of both, each times its weight, plus `low`.
 
-        The result has `shape` (height, width) and 4 channels; `low`, (h, w, 4), is on a grid over
-        the extent of the canvas, and linear in between. Between stored times and between grid
-        points paths are linear. Where neighbors take their colors from places more than
-        `records.TEAR` times as far apart as pixels, a pixel is, by and by, the binomial mean over 3
-        x 3 pixels: a tear has no steps.
+        The result has `shape` (height, width) and 4 channels, or some `rows` of it, (start, stop);
+        `low`, (h, w, 4), is on a grid over the extent of the canvas, and linear in between. Between
+        stored times and between grid points paths are linear. Where neighbors take their colors
+        from places more than `records.TEAR` times as far apart as pixels, a pixel is, by and by,
+        the binomial mean over 3 x 3 pixels: a tear has no steps.
         """
 
     def upload_splats(

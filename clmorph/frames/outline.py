@@ -61,6 +61,29 @@ class Outline(NamedTuple):
         half, zero, one = np.float32(0.5), np.float32(0.0), np.float32(1.0)
         return lambda rows: np.clip(half + distance.rows(rows) / edge.rows(rows), zero, one)
 
+    def reached(self, stage: Canvas) -> NDArray[np.bool_]:
+        """Return which points of a stage stand near what is inside: no others show the figure."""
+        from scipy.ndimage import maximum_filter
+
+        inside = self.distance > -0.5 * self.edge
+        way = affine(stage, self.canvas)
+        reach = [2 * int(np.ceil(abs(step))) + 1 for step in way.step]
+        wider = maximum_filter(inside, reach) if self.level is not None else inside | True
+        rows, columns = (
+            np.clip(np.rint(origin + step * np.arange(many)), 0, few - 1).astype(int)
+            for origin, step, many, few in zip(
+                way.origin, way.step, stage.shape, inside.shape, strict=True
+            )
+        )
+        return around(wider[np.ix_(rows, columns)])
+
+
+def around(some: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return some points of a grid with all that are next to them."""
+    from scipy.ndimage import maximum_filter
+
+    return np.asarray(maximum_filter(some, 3))
+
 
 def outline_of(
     distance_on: Callable[[Canvas], Float32],

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from functools import lru_cache, reduce
+from functools import lru_cache, partial, reduce
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from clmorph.frames.ends import End
 from clmorph.frames.fields import POINTS, affine, blurred
 from clmorph.frames.figures import Figure, beyond
 from clmorph.frames.moved_layer import Layer, led_to
-from clmorph.frames.outline import outline_of, thinness
+from clmorph.frames.outline import around, outline_of, thinness
 from clmorph.frames.resampling import Enlarged, reduced
 from clmorph.images.color import PART, from_space, to_space
 
@@ -47,8 +47,10 @@ NEAR = 2.0
 MARGIN = 1 / 8
 #: Points of the stage over which a layer stops being seen beyond its own figure.
 COVER = 2.0
-#: Agreement below this is none.
-FAINT = 0.01
+#: Agreement below this is none: nobody sees the share of a color that it has.
+FAINT = 1 / 512
+#: Pixels of a frame of figures that are drawn at a time.
+BAND = 1 << 21
 
 
 class Channels:
@@ -268,8 +270,9 @@ class Pictures:
             on: Canvas,
             low: Array | None = None,
             fourth: Sequence[Array] = even,
+            rows: slice | None = None,
         ) -> Float32:
-            return self._drawn(name, layers, ways, seen, fourth, on, low)
+            return self._drawn(name, layers, ways, seen, fourth, on, low, rows)
 
         if self.figures is None:
             coarse = canvas.reduced(LOW_PIXELS)
@@ -294,6 +297,7 @@ class Pictures:
             softness=float(np.dot(shares, [each.softness for each in self.figures])),
             most=np.inf if any(each.pure.all() for each in self.figures) else LEVEL,
         )  # fmt: skip
+        figure: Callable[[slice], Float32]
         if self.smoothing > 0.0 and max(shares) < 1.0:
             way = affine(self.stage, outline.canvas)
             edge = Enlarged(outline.distance, way, self.stage.shape).rows() * self._per_unit
@@ -302,58 +306,81 @@ class Pictures:
                 for layer, own, share in zip(layers, distances, ways, strict=True)
             ]
             shown.clear()
-            figure = self._drawn("figure", led, ways, covered, even, canvas, None)
+            inside = outline.reached(self.stage)
+            within = [weight * inside for weight in covered]
+            none = [np.zeros(self.stage.shape)] * len(within)
+            figure = partial(self._drawn, "figure", led, ways, within, none, canvas, None)
         else:
-            figure = shown[canvas.shape]
-        translucent = "alpha" in self._channels
-        opacity = drawn("alpha", weights, canvas)[..., 3] if translucent else None
+            figure = shown[canvas.shape].__getitem__
         # What agrees is a warp of both pictures, with the edges that they have.
         meet = np.exp(-((np.ptp(np.clip(distances, -2 * NEAR, 2 * NEAR), axis=0) / NEAR) ** 2))
         # Where the area asks for another outline, the pictures' own ones would be halos.
         meet *= np.exp(-(((outline.level or 0.0) * max(*canvas.scale, 1e-9) / MET) ** 2))
         seen = agreement * meet
-        own = drawn("own", even, canvas) if seen.max() > FAINT else None
-        return self._put_together(
-            canvas, figure, outline.on(canvas), opacity, self._ground(shares), own,
-            Enlarged(seen.astype(np.float32), affine(canvas, self.stage), canvas.shape),
-        )  # fmt: skip
+        seen = np.where(seen < FAINT, 0.0, seen)
+        there = [share * around(seen > 0.0) for share in even]
+        translucent = "alpha" in self._channels
+        on_canvas = Enlarged(seen.astype(np.float32), affine(canvas, self.stage), canvas.shape)
+        lies_inside, ground = outline.on(canvas), self._ground(shares)
+        frame = np.empty((*canvas.shape, 4 if self.clear else 3), np.float32)
+        height, width = canvas.shape
+        for first in range(0, height, max(1, BAND // width)):
+            rows = slice(first, min(first + max(1, BAND // width), height))
+            own = drawn("own", there, canvas, fourth=there, rows=rows) if seen.any() else None
+            opacity = drawn("alpha", weights, canvas, rows=rows)[..., 3] if translucent else None
+            self._put_together(
+                frame, rows, figure(rows), lies_inside, opacity, ground, own, on_canvas
+            )
+        return frame
 
     def _put_together(
         self,
-        canvas: Canvas,
+        frame: Float32,
+        rows: slice,
         figure: Float32,
         inside: Callable[[slice], Float32],
         opacity: Float32 | None,
         ground: tuple[Array, float],
         own: Float32 | None,
         seen: Enlarged,
-    ) -> Float32:
-        """Return a frame of a figure before its ground, and where `seen` of the pictures' own."""
+    ) -> None:
+        """Fill rows of a frame by a figure before its ground, where `seen` by the pictures' own."""
         color, alpha = ground[0].astype(np.float32), np.float32(ground[1])
-        frame = np.empty((*canvas.shape, 4 if self.clear else 3), np.float32)
+        behind_all = self._shown(color[None])[0]
 
-        def put(rows: slice) -> None:
-            opaque = inside(rows)[..., None]
+        def put(part: slice) -> None:
+            here = slice(rows.start + part.start, rows.start + part.stop)
+            opaque = np.broadcast_to(inside(here), (part.stop - part.start, frame.shape[1]))
+            share = seen.rows(here)
+            frame[here, :, :3], frame[here, :, 3:] = behind_all, alpha
+            some = np.flatnonzero(((opaque > 0) | (share > 0)).any(axis=0))
+            if not len(some):
+                return
+            # Beside these columns there is but the ground.
+            columns = slice(some[0], some[-1] + 1)
+            opaque = opaque[:, columns, None]
             if opacity is not None:
-                opaque = opaque * np.clip(opacity[rows, :, None], 0, 1)
+                opaque = opaque * np.clip(opacity[part, columns, None], 0, 1)
             behind = (1 - opaque) * alpha
             whole = opaque + behind
-            colors = (opaque * figure[rows, :, :3] + behind * color) / np.maximum(whole, 1e-6)
+            colors = opaque * figure[part, columns, :3] + behind * color
+            colors /= np.maximum(whole, 1e-6)
             if own is not None:
-                share = seen.rows(rows)[..., None]
-                colors += share * (own[rows, :, :3] - colors)
+                share = share[:, columns, None]
+                colors += share * (own[part, columns, :3] - colors)
                 if self.clear:
-                    whole = whole + share * (own[rows, :, 3:] - whole)
-            frame[rows, :, :3] = self._shown(colors)
+                    whole = whole + share * (own[part, columns, 3:] - whole)
+            frame[here, columns, :3] = self._shown(colors)
             if self.clear:
-                frame[rows, :, 3:] = np.clip(whole, 0.0, 1.0)
+                frame[here, columns, 3:] = np.clip(whole, 0.0, 1.0)
 
-        height, width = canvas.shape
+        height, width = rows.stop - rows.start, frame.shape[1]
         together = max(1, PART // width)
-        parts = (slice(first, first + together) for first in range(0, height, together))
+        parts = (
+            slice(first, min(first + together, height)) for first in range(0, height, together)
+        )
         for _ in in_order(put, parts):
             pass
-        return frame
 
     def _distances(self, layers: Sequence[Layer], ways: Sequence[float]) -> list[Array]:
         """Return the signed distance from each layer's outline, in points of the stage."""
@@ -362,7 +389,7 @@ class Pictures:
         for number in range(len(layers)):
             alone = [one if other == number else zero for other in range(len(layers))]
             none = [zero] * len(layers)
-            drawn = self._drawn("figure", layers, ways, none, alone, self.stage, None)
+            drawn = self._drawn("figure", layers, ways, none, alone, self.stage)
             found.append(drawn[..., 3].astype(float) * self._per_unit)
         return found
 
@@ -378,9 +405,13 @@ class Pictures:
         weights: Sequence[Array],
         fourth: Sequence[Array],
         canvas: Canvas,
-        low: Array | None,
+        low: Array | None = None,
+        rows: slice | None = None,
     ) -> Float32:
-        """Return the sum of all layers, by weights of their colors and of their fourth channel."""
+        """Return the sum of all layers, by weights of their colors and of their fourth channel.
+
+        Where both weights of a layer are 0 it is not sampled.
+        """
         views = [
             view(
                 layer, picture, way, canvas, self.stage,
@@ -398,7 +429,7 @@ class Pictures:
             np.add,
             (
                 self._operations.draw_layers(
-                    views[first : first + 2], lows[first].astype(np.float32), canvas.shape
+                    views[first : first + 2], lows[first].astype(np.float32), canvas.shape, rows
                 )
                 for first in range(0, len(views), 2)
             ),

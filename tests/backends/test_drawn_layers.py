@@ -106,6 +106,16 @@ def test_launches_are_cut_without_changing_a_bit(each_device, operation):
         assert np.array_equal(run(layers, case), run(each_device, case))
 
 
+@pytest.mark.parametrize("backend", ["device", "numpy"])
+def test_rows_of_a_frame_are_those_of_the_whole(each_device, backend):
+    """Also beside tears, where a pixel needs the rows above and below."""
+    operations = REFERENCE if backend == "numpy" else each_device
+    for name, scene in scenes((19, 26)).items():
+        whole = scene.draw(operations)
+        parts = [scene.draw(operations, slice(*rows)) for rows in ((0, 1), (1, 12), (12, 19))]
+        assert np.array_equal(np.concatenate(parts), whole), name
+
+
 def test_rows_of_cells_in_several_launches(each_device):
     """As where loops must be short."""
     constants = replace(each_device.constants, longest_loop=600)

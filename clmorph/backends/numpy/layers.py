@@ -87,18 +87,23 @@ def linear(image: Float32, places: Float64) -> Float64:
     )
 
 
-def draw_layers(views: Sequence[LayerView], low: Float32, shape: tuple[int, int]) -> Float32:
+def draw_layers(
+    views: Sequence[LayerView], low: Float32, shape: tuple[int, int], rows: slice | None = None
+) -> Float32:
     """Draw two layers over one another; see `clmorph.backends.interface.Operations`."""
-    found = enlarged(low.astype(float), shape)
+    first, stop = (0, shape[0]) if rows is None else (rows.start, rows.stop)
+    # Beside a tear a pixel needs its neighbors.
+    wider = slice(max(first - 1, 0), min(stop + 1, shape[0]))
+    found = enlarged(low.astype(float), shape, wider.start, wider.stop)
     for view in views:
         both = np.stack((view.weights, view.shares), axis=-1)
-        weights = linear(both, view.to_paths.places(shape))
-        found += weights[..., [0, 0, 0, 1]] * _drawn(view, shape)
-    return found.astype(np.float32)
+        weights = linear(both, view.to_paths.places(shape)[wider])
+        found += weights[..., [0, 0, 0, 1]] * _drawn(view, shape, wider)
+    return found[first - wider.start : stop - wider.start].astype(np.float32)
 
 
-def _drawn(view: LayerView, shape: tuple[int, int]) -> Float64:
-    """Return one layer: (H, W, 4) array."""
+def _drawn(view: LayerView, shape: tuple[int, int], rows: slice) -> Float64:
+    """Return some rows of one layer: (H, W, 4) array."""
     from scipy.ndimage import map_coordinates
 
     paths, change = view.layer
@@ -106,7 +111,8 @@ def _drawn(view: LayerView, shape: tuple[int, int]) -> Float64:
     step = min(int(view.way * steps), steps - 1)
     between = view.way * steps - step
     moved = paths[step] + between * (paths[step + 1].astype(float) - paths[step])
-    place = view.to_field.places(shape) + linear(moved, view.to_paths.places(shape))
+    place = view.to_field.places(shape)[rows]
+    place = place + linear(moved, view.to_paths.places(shape)[rows])
     at = np.asarray(view.to_picture.origin) + np.asarray(view.to_picture.step) * place
     picture = view.picture
     within = np.moveaxis(np.clip(at, 0, np.array(picture.shape[:2]) - 1), -1, 0)

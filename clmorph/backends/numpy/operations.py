@@ -379,10 +379,14 @@ class NumPyOperations:
         return paths, change
 
     def draw_layers(
-        self, views: Sequence[LayerView], low: Float32, shape: tuple[int, int]
+        self,
+        views: Sequence[LayerView],
+        low: Float32,
+        shape: tuple[int, int],
+        rows: slice | None = None,
     ) -> Float32:
         """Draw two layers over one another."""
-        return draw_layers(views, low, shape)
+        return draw_layers(views, low, shape, rows)
 
     def upload_splats(
         self,

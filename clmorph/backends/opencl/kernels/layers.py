@@ -132,7 +132,11 @@ class Layers:
         )  # fmt: skip
 
     def draw_layers(
-        self, views: Sequence[LayerView], low: Float32, shape: tuple[int, int]
+        self,
+        views: Sequence[LayerView],
+        low: Float32,
+        shape: tuple[int, int],
+        rows: slice | None = None,
     ) -> Float32:
         """Draw two layers over one another; see `clmorph.backends.interface.Operations`."""
         make = cl.cltypes
@@ -143,7 +147,7 @@ class Layers:
         for view in views:
             for table, tables_of_view in zip(tables, _tables(view, shape), strict=True):
                 table += tables_of_view
-        rows, columns = (self._work.buffer(np.stack(table)) for table in tables)
+        on_rows, on_columns = (self._work.buffer(np.stack(table)) for table in tables)
         placed = [self._placed(view) for view in views]
 
         def both(name: str, values: Sequence[Any]) -> Any:
@@ -152,7 +156,7 @@ class Layers:
 
         layers = [view.layer for view in views]
         given = (
-            make.make_int2(*shape), rows, columns, make.make_int2(*low.shape[:2]),
+            make.make_int2(*shape), on_rows, on_columns, make.make_int2(*low.shape[:2]),
             self._work.buffer(low), both("int4", [layer.shape for layer in layers]),
             both("int4", [layer.field for layer in layers]),
             both("int4", [view.picture.shape for view in views]),
@@ -169,14 +173,15 @@ class Layers:
                 self._work.buffer(view.shares),
             )
         ]  # fmt: skip
-        frame = np.empty((*shape, 4), np.float32)
+        start, stop = (0, shape[0]) if rows is None else (rows.start, rows.stop)
+        frame = np.empty((stop - start, shape[1], 4), np.float32)
         # Where all pixels are torn, a launch takes as long as the budget allows.
-        for first, count, _ in _rows(self._of_pixels, shape[0], shape[1], TORN_PIXELS):
+        for first, count, _ in _rows(self._of_pixels, stop - start, shape[1], TORN_PIXELS):
             out = frame[first : first + count]
             buffer = self._work.empty(out.nbytes)
             self._launch(
-                "draw_layers", (shape[1], count), np.uint32(first), *given, *buffers, buffer,
-                results=((out, buffer),),
+                "draw_layers", (shape[1], count), np.uint32(start + first), *given, *buffers,
+                buffer, results=((out, buffer),),
             )  # fmt: skip
         return frame
 

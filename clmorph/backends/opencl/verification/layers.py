@@ -168,10 +168,10 @@ class Scene(NamedTuple):
     low: Float32
     shape: Shape
 
-    def draw(self, operations: Operations) -> NDArray[np.float32]:
-        """Return the frame."""
+    def draw(self, operations: Operations, rows: slice | None = None) -> NDArray[np.float32]:
+        """Return the frame, or some rows of it."""
         views = [layer.view(operations) for layer in self.layers]
-        return operations.draw_layers(views, self.low, self.shape)
+        return operations.draw_layers(views, self.low, self.shape, rows)
 
     def rounding(self) -> float:
         """Return the error that the frame may have."""
