@@ -11,7 +11,7 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.transport._solver.problem import upload_both
-from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin
+from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin, many_pairs
 from clmorph.transport.pair_costs import Costs, Indices
 
 #: Draws of candidates of each point at each of some temperatures, in units of epsilon: hot ones
@@ -40,12 +40,14 @@ class PlanSearch:
         self._rng = np.random.default_rng(seed)
         self._measures = costs.measures()
         self._clouds = upload_both(operations, *self._measures)
+        few = len(costs.x) ** 2 < many_pairs(operations)  # for a fast device
+        self._truncation = None if few else TRUNCATION
 
     def _softmin(self, side: int) -> Softmin:
         order = (side, 1 - side)
         clouds = [self._clouds[each] for each in order]
         masses = self._measures[side].weights, self._measures[1 - side].weights
-        return Softmin(self._operations, clouds[0], clouds[1], masses, TRUNCATION)
+        return Softmin(self._operations, clouds[0], clouds[1], masses, self._truncation)
 
     def _drawn(self, side: int, potential: Array, epsilon: float) -> tuple[Indices, Array]:
         """Return draws of each point, (N, DRAWS), and the soft minimum, (N,)."""

@@ -17,11 +17,14 @@ from clmorph import DeviceError, InputError
 from clmorph.backends import select as backends
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
-from clmorph.backends.opencl.build.constants import choose_constants
+from clmorph.backends.opencl.build.constants import apply_quirks, choose_constants, gpu_constants
+from clmorph.backends.opencl.build.variants import Variant, all_variants
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import runtimes, verdicts
 from clmorph.backends.opencl.devices.find import choose_device, find_devices, run_probe
+from clmorph.backends.opencl.devices.quirks import find_quirks
+from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.reference import NumPyOperations
 
 _COUNTER = itertools.count()
@@ -144,8 +147,11 @@ def test_apples_processor_gets_work_groups_of_one():
         local_mem_size=32768, extensions="cl_APPLE_SetMemObjectDestructor",
     )  # fmt: skip
     constants = choose_constants(apple)
-    assert (constants.group, constants.tile_group, constants.precise) == (1, 1, 1)
-    assert constants.file_macros("gauss_transform.cl")["MOMENT_GROUP"] == 1
+    assert (constants.precise, constants.float64) == (1, 0)
+    for variant in all_variants():
+        if variant.suits(constants):
+            macros = variant.macros(constants)
+            assert {macros[name] for name in macros if name.endswith("GROUP")} <= {1}, variant
 
 
 @pytest.mark.parametrize(("lanes", "width"), [(16, 1), (8, 8), (4, 4)])
@@ -158,6 +164,28 @@ def test_pips_pocl_has_vectors_that_its_compiler_takes(lanes, width):
     assert choose_constants(old).width == lanes
     old.platform.version = "OpenCL 3.0 PoCL 3.0-rc2  Linux, Release, RELOC, LLVM 14.0.6"
     assert choose_constants(old).width == width
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("largest", [8, 1])
+def test_no_work_group_is_larger_than_a_device_takes(device, monkeypatch, largest):
+    """Small cards take 8 or 12 work-items; Apple's processor one, where a kernel has barriers."""
+    if "short_loops" in find_quirks(device.device):
+        pytest.skip("groups that do not fill its lanes compute wrongly there")
+    launch, groups = cl.enqueue_nd_range_kernel, set()
+
+    def noted(queue, kernel, size, group, *rest, **options):
+        groups.add(1 if group is None else int(np.prod(group)))
+        return launch(queue, kernel, size, group, *rest, **options)
+
+    monkeypatch.setattr(cl, "enqueue_nd_range_kernel", noted)
+    monkeypatch.setattr(cl.Device, "max_work_group_size", property(lambda _: largest))
+    constants = apply_quirks(gpu_constants(largest), find_quirks(device.device))
+    operations = OpenCLOperations(device.device, constants, verify=False)
+    for file in ("layers.cl", "color_table.cl", "splat.cl", "log_sum_exp.cl"):
+        variant = Variant(file, 5 if file == "log_sum_exp.cl" else 0)
+        assert first_failure(operations, variant) == ""
+    assert max(groups) == largest
 
 
 def test_the_search_ends_at_the_first_usable_device(pretend):

@@ -113,6 +113,22 @@ def test_many_pairs_are_searched_on_the_device(device, monkeypatch, kind):
     _holds(found, x, y, weights, gap=0.01)
 
 
+@pytest.mark.parametrize("rate", [5e9, 1e12])
+def test_a_fast_card_searches_without_near_pairs(device, monkeypatch, rate):
+    """By its recorded rate it sums over all of some pairs sooner than it chooses near ones."""
+    asked, near_pairs = [], device.near_pairs
+    monkeypatch.setattr(plan_search, "MANY_PAIRS", 300**2)
+    monkeypatch.setattr("clmorph.transport._solver.softmin.MANY_PAIRS", 300**2)
+    monkeypatch.setattr(device, "near_pairs", lambda *a: asked.append(1) or near_pairs(*a))
+    monkeypatch.setattr(device, "on_processor", False)
+    monkeypatch.setattr(device, "pairs_per_second", rate)
+    rng = np.random.default_rng(6)
+    x, y = rng.random((2, 400, 3))
+    found = clmorph.assignment(x, y, gap=0.01, backend=device)
+    assert bool(asked) == (rate == 5e9)
+    _holds(found, x, y, gap=0.01)
+
+
 @pytest.mark.parametrize("spare", [0, 60])
 def test_without_trees(device, monkeypatch, spare):
     """In many dimensions all pairs are formed."""

@@ -10,7 +10,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.records import Float32
 
-#: Work-items of a group, and colors of the first launch.
+#: Work-items of a group, where a device takes so many, and colors of the first launch.
 GROUP, FIRST_COLORS = 16, 1 << 18
 
 
@@ -27,6 +27,7 @@ class ColorTable:
     def __init__(self, work: Workspace, programs: Programs) -> None:
         self._work, self._programs = work, programs
         self._kernel: cl.Kernel | None = None
+        self._group = min(GROUP, work.device.max_work_group_size)
         self._budget = LaunchBudget(FIRST_COLORS)
 
     def upload_table(self, table: Float32) -> Table:
@@ -41,12 +42,12 @@ class ColorTable:
             self._kernel = self._programs.kernels(Variant("color_table.cl"))["apply_table"]
         found = np.empty(colors.shape, np.float32)
         given, buffer = self._work.buffer(colors), self._work.empty(found.nbytes)
-        first = 0
+        first, group = 0, self._group
         while first < len(colors):
             end = min(len(colors), first + self._budget.pairs())
             with self._budget.measure(end - first):
                 self._work.launch(
-                    self._kernel, (-(-(end - first) // GROUP) * GROUP,), (GROUP,),
+                    self._kernel, (-(-(end - first) // group) * group,), (group,),
                     np.uint32(first), np.uint32(end), np.int32(table.nodes), table.values, given,
                     buffer, results=((found, buffer),) if end == len(colors) else (),
                 )  # fmt: skip

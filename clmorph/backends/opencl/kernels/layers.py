@@ -15,7 +15,7 @@ from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.records import LIKE, TEAR, Affine, Float32, Float64, LayerView
 
-#: Work-items of a group, along a row: more than the lanes of any device.
+#: Work-items of a group, along a row, where a device takes so many: more than the lanes of any.
 GROUP = 64
 #: Pairs of a point and a cell of the first launch, steps of all points, points, and pixels.
 FIRST_PAIRS, FIRST_STEPS, FIRST_POINTS, FIRST_PIXELS = 1 << 20, 1 << 20, 1 << 18, 1 << 17
@@ -48,6 +48,7 @@ class Layers:
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants, self._programs = work, constants, programs
         self._kernels: dict[str, cl.Kernel] = {}
+        self._group = min(GROUP, work.device.max_work_group_size)
         self._of_means, self._of_paths = LaunchBudget(FIRST_PAIRS), LaunchBudget(FIRST_STEPS)
         self._of_points, self._of_pixels = LaunchBudget(FIRST_POINTS), LaunchBudget(FIRST_PIXELS)
 
@@ -211,9 +212,9 @@ class Layers:
         """Run a kernel for (width, height) points."""
         if not self._kernels:
             self._kernels = self._programs.kernels(Variant("layers.cl"))
-        width, height = size
+        (width, height), group = size, self._group
         self._work.launch(
-            self._kernels[name], (-(-width // GROUP) * GROUP, height), (GROUP, 1), *arguments,
+            self._kernels[name], (-(-width // group) * group, height), (group, 1), *arguments,
             results=results,
         )  # fmt: skip
 
