@@ -63,7 +63,6 @@ ELSEWHERE = {
         "fuzz.py",
     ),
     r"python tools/faults\.py .*": ("tests/project/test_tools_faults.py", "import faults"),
-    r"python tools/soak\.py .*": ("tests/project/test_tools_faults.py", "import soak"),
     r"python tools/cross_check\.py .*": ("tests/project/test_cross_check.py", "import cross_check"),
     r"clmorph batch .*": ("tests/batch/test_dask_batches.py", '["batch", '),
     r"python tools/site/build\.py .*": (".ci/run", "tools/site/build.py"),

@@ -1,4 +1,4 @@
-"""Run a small part of ``tools/faults.py`` and of ``tools/soak.py``."""
+"""Run a small part of ``tools/faults.py``."""
 
 import sys
 from pathlib import Path
@@ -29,13 +29,3 @@ def test_runs_that_are_interrupted(capsys):
         runs.kill("gif", "SIGINT", share * seconds, old)
     runs.fill("gif", 0)
     assert runs.findings.end() == 0, capsys.readouterr().out
-
-
-@pytest.mark.full
-@pytest.mark.needs_device
-def test_morphs_in_threads_are_those_in_a_row(capsys):
-    import soak
-
-    device = TESTED[0].index
-    given = ["--morphs", "20", "--sets", "5", "--threads", "4", "--processes", "0"]
-    assert soak.main([*given, "--device", device]) == 0, capsys.readouterr().out
