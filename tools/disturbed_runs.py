@@ -41,13 +41,7 @@ class Ended:
 
 
 class FoldersOfRuns:
-    """Runs of ``clmorph morph``, each in a folder of its own.
-
-    Parameters
-    ----------
-    device : str or None
-    findings : Findings
-    """
+    """Runs of ``clmorph morph``, each in a folder of its own."""
 
     def __init__(self, device: str | None, findings: Findings) -> None:
         self.device, self.findings = device, findings

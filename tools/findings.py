@@ -13,10 +13,7 @@ from PIL import Image
 class Findings:
     """Faults, printed one a line as they are found, each with the command that repeats it.
 
-    Parameters
-    ----------
-    common : sequence of str
-        Options that every such command has, such as the device's.
+    Every such command has the options `common`, such as the device's.
     """
 
     def __init__(self, common: list[str]) -> None:

@@ -85,13 +85,7 @@ def built(context: cl.Context, source: str) -> cl.Program:
 
 @dataclass
 class HostProgram:
-    """The program, which keeps all its arrays so that their transfers can be counted.
-
-    Attributes
-    ----------
-    queue : pyopencl.CommandQueue
-    arrays : dict of pyopencl.array.Array
-    """
+    """The program, which keeps all its arrays so that their transfers can be counted."""
 
     queue: cl.CommandQueue
     arrays: dict[str, cl_array.Array] = field(default_factory=dict)

@@ -89,14 +89,9 @@ def _drawn(name: str) -> Image.Image:
 
 
 def deformed(image: Picture, seed: int, size: float = 0.06) -> tuple[Picture, Picture]:
-    """Return a smooth deformation of a picture halfway, and as a whole.
+    """Return a smooth deformation of a picture (H, W, 3) halfway, and as a whole.
 
-    Parameters
-    ----------
-    image : (H, W, 3) array
-    seed : int
-    size : float
-        The longest displacement, as a share of the width. It falls to 0 at the border.
+    The longest displacement is the share `size` of the width. It falls to 0 at the border.
     """
     height, width = image.shape[:2]
     rng = np.random.default_rng(seed)

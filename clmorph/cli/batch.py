@@ -125,7 +125,6 @@ def _with_earlier(journal: Journal, records: list[dict[str, Any]]) -> list[dict[
 
 def run_batch(request: BatchRequest) -> int:
     """Do all jobs that are not done yet; return 1 if any pair has failed, else 0."""
-    need_dask()
     began = time.perf_counter()
     jobs = _jobs(request)
     folder = request.defaults.folder

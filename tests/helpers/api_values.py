@@ -627,12 +627,7 @@ def is_fit(argument: str, label: str) -> bool:
 def single(name: str, every: int = 1) -> Iterator[tuple[str, Callable[[], Any]]]:
     """Return calls of a public function with one argument replaced, for all arguments.
 
-    Parameters
-    ----------
-    name : str
-        Of `public_functions`.
-    every : int
-        Of the values beside `CORE` only each so-manieth is taken, others for other arguments.
+    Of the values beside `CORE` only each `every`-th is taken, others for other arguments.
     """
     function, good = public_functions()[name], cases()[name]
     for position, argument in enumerate(good):
@@ -692,18 +687,7 @@ def _call(
 
 
 def check(description: str, call: Callable[[], Any]) -> str:
-    """Judge one call.
-
-    Returns
-    -------
-    str
-        The message of the error that it raised; empty if it returned a result.
-
-    Raises
-    ------
-    AssertionError
-        If it did anything else than what it may, see above.
-    """
+    """Judge one call; return the message of its error, empty if it returned a result."""
     before, began = shared_state(), time.monotonic()
     message = ""
     try:
