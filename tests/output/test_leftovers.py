@@ -604,16 +604,6 @@ def test_a_path_too_long_for_what_lies_beside_is_said_first():
 
 
 @posix
-def test_a_link_to_nothing_yet_is_filled(tmp_path):
-    Path("link.txt").symlink_to(tmp_path / "real.txt")
-    with atomic_path("link.txt") as path:
-        path.write_text("new")
-    assert Path("link.txt").is_symlink()
-    assert (tmp_path / "real.txt").read_text() == "new"
-    assert names() == ["link.txt"]
-
-
-@posix
 def test_who_reads_the_old_file_goes_on(morph):
     morph.save("x.npz")
     before = Path("x.npz").read_bytes()
