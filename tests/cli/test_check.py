@@ -103,7 +103,20 @@ def test_report(tmp_path, capfd):
 def test_check_of_one_device(capfd):
     arguments = ["--device", TESTED[0].index, "--kernel", "sample_plan_rows"]
     assert main(["check", *arguments]) == 0
-    assert capfd.readouterr().out.startswith(f"[{TESTED[0].index}] ")
+    said = capfd.readouterr().out
+    assert said.startswith(f"[{TESTED[0].index}] ")
+    told = r"kernels took [\d.]+ s of [\d.]+ s with NumPy's; the longest launch: \w+, [\d.]+ ms"
+    assert re.search(told, said) or "rusticl" in TESTED[0].platform  # its clock does not run
+
+
+@pytest.mark.needs_device
+def test_a_clock_that_does_not_run_is_told(faked, capfd):
+    """That of Mesa's rusticl; here because no kernel runs."""
+    del faked[1]
+    assert main(["check", "--device", TESTED[0].index]) == 0
+    said = capfd.readouterr().out
+    assert "the device's own clock does not run" in said
+    assert "longest launch" not in said
 
 
 @pytest.fixture

@@ -34,6 +34,20 @@ def test_compiled_kernels_are_within_it(target, monkeypatch):
     assert kernel_limits.complaints(named, LIMITS) == []
 
 
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_kernel_beyond_its_limits_is_told(place):
+    """More registers, spills or local memory; and one that the table lacks."""
+    limits = {"sm_90": {"a.cl:k": [32, 0, 512]}}
+    found = [32, 0, 512]
+    assert kernel_limits.complaints({"sm_90": {"a.cl:k": tuple(found)}}, limits) == []
+    found[place] += 1
+    (told,) = kernel_limits.complaints({"sm_90": {"a.cl:k": tuple(found)}}, limits)
+    assert told.startswith(f"sm_90: a.cl:k takes {found[place]} ")
+    assert kernel_limits.complaints({"sm_90": {"b.cl:k": (1, 0, 0)}}, limits) == [
+        "sm_90: b.cl:k has no limits"
+    ]
+
+
 def test_limits_of_slots_are_those_promised():
     """On an H100 and an MI200, for a pair of points in five dimensions."""
     assert SLOTS["sm_90"][0] <= 10
