@@ -7,11 +7,8 @@
 // -D SENTINEL=x    stands for minus infinity; finite, so that the difference of two
 //                  sentinels is a number.
 
-#ifndef WIDTH
-#error "WIDTH (lanes per work-item) must be given"
-#endif
-#ifndef SENTINEL
-#error "SENTINEL (the finite stand-in for minus infinity) must be given"
+#if !defined(WIDTH) || !defined(SENTINEL)
+#error "WIDTH and SENTINEL must be given, see above"
 #endif
 #ifndef EXP2_BUILTIN
 #define EXP2_BUILTIN 0

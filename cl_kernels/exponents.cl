@@ -1,16 +1,13 @@
 // Arithmetic of the exponents e_ij of row_loop.cl, in one of three widths. What follows them,
 // exponentials of numbers near 0 and their sums, is float32 in all.
 //
-// -D PRECISE  0 (default): float32; an error of about 2e-8 C / epsilon nats.
+// -D PRECISE  0: float32; an error of about 2e-8 C / epsilon nats.
 //             1: unevaluated sums of two float32 (about 48 bits), for devices without
 //             float64; 4 times the time. Dekker 1971; Ogita, Rump, Oishi 2005 (Dot2).
 //             2: float64; on CPUs 2.3 times the time.
 // Inputs are float32 in all: PLANES of them, the second with what the first rounds off.
 // -D DIM or SLICE, TILE, MASKED  see row_loop.cl
 
-#ifndef PRECISE
-#define PRECISE 0
-#endif
 #if PRECISE
 #define PLANES 2
 #else
@@ -149,9 +146,7 @@ INLINE vreal e_above(const ereal e, const vreal m)
 
 INLINE void e_stage(const ereal e, __local staged_real* p)
 {
-#if PRECISE == 0
-    VSTORE(e, 0, p);
-#elif PRECISE == 1
+#if PRECISE == 1
     VSTORE(HIGH(e), 0, p);
     VSTORE(LOW(e), 0, p + STAGED_PLANE);
 #else

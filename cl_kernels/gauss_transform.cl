@@ -23,11 +23,8 @@
 
 #include "common.cl"
 
-#ifndef MOMENT_GROUP
-#error "MOMENT_GROUP (work-items of a bin) must be given"
-#endif
-#ifndef MOMENT_CHUNK
-#error "MOMENT_CHUNK (particles added up before they join the total) must be given"
+#if !defined(MOMENT_GROUP) || !defined(MOMENT_CHUNK)
+#error "MOMENT_GROUP and MOMENT_CHUNK must be given, see above"
 #endif
 #if WIDTH > 1 && MOMENT_GROUP != 1
 #error "MOMENT_GROUP must be 1 where WIDTH is more"
@@ -67,17 +64,15 @@ INLINE float4 fold(const vblock v) // Oclgrind takes shuffles for uninitialized
 // T_0 to T_7 at x and at y.
 INLINE void chebyshev(const float2 x, float* t_x, float* t_y)
 {
-    const float2 twice = 2.0f * x;
-    const float2 t2 = twice * x - 1.0f;
-    const float2 t3 = twice * t2 - x;
-    const float2 t4 = twice * t3 - t2;
-    const float2 t5 = twice * t4 - t3;
-    const float2 t6 = twice * t5 - t4;
-    const float2 t7 = twice * t6 - t5;
-    t_x[0] = 1.0f; t_x[1] = x.x; t_x[2] = t2.x; t_x[3] = t3.x;
-    t_x[4] = t4.x; t_x[5] = t5.x; t_x[6] = t6.x; t_x[7] = t7.x;
-    t_y[0] = 1.0f; t_y[1] = x.y; t_y[2] = t2.y; t_y[3] = t3.y;
-    t_y[4] = t4.y; t_y[5] = t5.y; t_y[6] = t6.y; t_y[7] = t7.y;
+    float2 t = (float2)(1.0f), next = x;
+#pragma unroll
+    for (int order = 0; order < ORDERS; ++order) {
+        t_x[order] = t.x;
+        t_y[order] = t.y;
+        const float2 after = 2.0f * x * next - t;
+        t = next;
+        next = after;
+    }
 }
 
 // Cell of a bin that a particle is in, -1 if in none, and where in it: within [-1, 1].

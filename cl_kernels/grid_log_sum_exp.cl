@@ -25,13 +25,9 @@
 
 #include "common.cl"
 
-#ifndef PRECISE
-#error "PRECISE (0: float32, 2: float64) must be given"
+#if !defined(PRECISE) || !defined(LANES)
+#error "PRECISE and LANES must be given, see above"
 #endif
-#ifndef LANES
-#error "LANES (places that a work-item handles together) must be given"
-#endif
-
 #define CHUNK 8
 #define UNROLL 4
 

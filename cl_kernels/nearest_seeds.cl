@@ -23,38 +23,11 @@
 
 #pragma OPENCL FP_CONTRACT OFF // seeds and boxes must be rounded alike
 
-#ifndef GROUP
-#error "GROUP (work-items of a group) must be given"
-#endif
-#ifndef LEAF
-#error "LEAF (seeds of a leaf) must be given"
-#endif
-#ifndef WAYS
-#error "WAYS (nodes below a node) must be given"
+#if !defined(GROUP) || !defined(LEAF) || !defined(WAYS)
+#error "GROUP, LEAF and WAYS must be given, see above"
 #endif
 
-// The pixels of a block, row by row.
-#if WIDTH == 1
-#define BLOCK_X 1
-#define ALONG 0.0f
-#define DOWN 0.0f
-#elif WIDTH == 2
-#define BLOCK_X 2
-#define ALONG (float2)(0, 1)
-#define DOWN (float2)(0)
-#elif WIDTH == 4
-#define BLOCK_X 2
-#define ALONG (float4)(0, 1, 0, 1)
-#define DOWN (float4)(0, 0, 1, 1)
-#elif WIDTH == 8
-#define BLOCK_X 4
-#define ALONG (float8)(0, 1, 2, 3, 0, 1, 2, 3)
-#define DOWN (float8)(0, 0, 0, 0, 1, 1, 1, 1)
-#else
-#define BLOCK_X 4
-#define ALONG (float16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
-#define DOWN (float16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
-#endif
+#define BLOCK_X (WIDTH > 4 ? 4 : WIDTH > 1 ? 2 : 1)
 #define BLOCK_Y (WIDTH / BLOCK_X)
 
 // Where d is less than the best one, or as small and of a lower index.
@@ -102,8 +75,12 @@ void nearest_seeds(
     const uint block_y = block / blocks_x;
     const float left = (float)((block - block_y * blocks_x) * BLOCK_X);
     const float upper = (float)(block_y * BLOCK_Y);
-    const vreal x = left + ALONG;
-    const vreal y = upper + DOWN;
+    float along[WIDTH], down[WIDTH]; // the pixels of a block, row by row
+    for (int lane = 0; lane < WIDTH; ++lane) {
+        along[lane] = left + lane % BLOCK_X;
+        down[lane] = upper + lane / BLOCK_X;
+    }
+    const vreal x = VLOAD(0, along), y = VLOAD(0, down);
     vreal best = (vreal)(MAXFLOAT);
     vint found = (vint)(INT_MAX);
     int level = top;

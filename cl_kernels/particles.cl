@@ -23,14 +23,8 @@
 #include "common.cl"
 #include "bins.cl"
 
-#ifndef WIDTH_LEVELS
-#error "WIDTH_LEVELS (number of widths) must be given"
-#endif
-#ifndef BASE_LEVEL
-#error "BASE_LEVEL (the level whose width is sigma) must be given"
-#endif
-#ifndef LEVELS_PER_OCTAVE
-#error "LEVELS_PER_OCTAVE (levels from one width to twice that) must be given"
+#if !defined(WIDTH_LEVELS) || !defined(BASE_LEVEL) || !defined(LEVELS_PER_OCTAVE)
+#error "WIDTH_LEVELS, BASE_LEVEL and LEVELS_PER_OCTAVE must be given, see above"
 #endif
 
 // Position, weight, color and spacing of every particle at time t. One work-item each.

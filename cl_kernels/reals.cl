@@ -12,23 +12,15 @@
 // -D FLOAT64  1: float64; 0: pairs of float32
 // -D LANES    numbers that a work-item takes at once: float64 lanes on CPUs, else 1; divides TILE
 
-#ifndef LANES
-#error "LANES (numbers that a work-item takes at once) must be given"
+#if !defined(LANES) || !defined(FLOAT64)
+#error "LANES and FLOAT64 must be given, see above"
 #endif
-#ifndef FLOAT64
-#error "FLOAT64 (1: float64, 0: pairs of float32) must be given"
-#endif
-
 #if LANES == 1
 typedef float vsingle;
-#define SLOAD(i, p) ((p)[i])
-#define SSTORE(v, i, p) ((p)[i] = (v))
 #define DLOAD(i, p) ((p)[i])
 #define DSTORE(v, i, p) ((p)[i] = (v))
 #else
 typedef CONCAT(float, LANES) vsingle;
-#define SLOAD(i, p) CONCAT(vload, LANES)(0, (p) + (i))
-#define SSTORE(v, i, p) CONCAT(vstore, LANES)((v), 0, (p) + (i))
 #define DLOAD(i, p) CONCAT(vload, LANES)(0, (p) + (i))
 #define DSTORE(v, i, p) CONCAT(vstore, LANES)((v), 0, (p) + (i))
 #endif

@@ -39,16 +39,16 @@
 // -D TILE    points of one tile, a multiple of WIDTH * GROUP
 // -D GROUP   work-items of a work-group along dimension 0
 // -D STACKS  work-items along dimension 1 of a work-group, in kernels that read SHARE_SETUP: each has a share
-//            of the column tiles, and they meet at the same barriers (speed only). Default 1.
+//            of the column tiles, and they meet at the same barriers (speed only). 1 in others.
 // -D UNROLL  columns taken together in the inner loop, divides TILE (speed only)
 // -D BLOCKS  groups of WIDTH rows that a work-item takes one after the other with the same staged columns,
-//            in kernels that read BLOCK_SETUP; WIDTH * GROUP * BLOCKS divides TILE (speed only). Default 1.
+//            in kernels that read BLOCK_SETUP; WIDTH * GROUP * BLOCKS divides TILE (speed only). 1 in others.
 // -D PRECISE arithmetic of the exponents, and PLANES of their inputs: see exponents.cl
-// -D LISTED  0 (default): rows see all column tiles; 1: those listed for their own tile, the
+// -D LISTED  0: rows see all column tiles; 1: those listed for their own tile, the
 //            levels in the list's order
 // -D MASKED  1: of the listed tiles, a work-group sees only the columns whose bits are set in the kernel's
 //            argument `column_masks`, (pairs, GROUPS_OF_TILE, MASK_WORDS), from pair `first_mask` on: see
-//            take_column. Default 0.
+//            take_column.
 // A file that defines TOPS 1, for exponents in float32, learns of each staged tile how large these get: see
 // largest_exponents.
 
@@ -67,30 +67,9 @@
 #define STAGED_COORDINATES DIM
 #define ROW_NUMBERS DIM // coordinates of a row
 #endif
-#ifndef TILE
-#error "TILE (points of one tile) must be given"
-#endif
-#ifndef GROUP
-#define GROUP 1 // a CPU core runs one work-item at a time
-#endif
-#ifndef UNROLL
-#define UNROLL 8 // enough independent chains to hide the latency of a multiply-add
-#endif
-
-#ifndef BLOCKS
-#define BLOCKS 1
-#endif
-
-#ifndef STACKS
-#define STACKS 1
-#endif
-
-#ifndef LISTED
-#define LISTED 0
-#endif
-
-#ifndef MASKED
-#define MASKED 0
+#if !defined(TILE) || !defined(GROUP) || !defined(STACKS) || !defined(UNROLL) \
+    || !defined(BLOCKS) || !defined(PRECISE) || !defined(LISTED) || !defined(MASKED)
+#error "TILE, GROUP, STACKS, UNROLL, BLOCKS, PRECISE, LISTED and MASKED must be given, see above"
 #endif
 #if MASKED && !LISTED
 #error "MASKED needs LISTED: masks are those of listed tiles"

@@ -14,11 +14,8 @@
 
 #include "common.cl"
 
-#ifndef SLICE
-#error "SLICE (rows of a slice) must be given"
-#endif
-#ifndef UNROLL
-#error "UNROLL (pairs of a row taken together) must be given"
+#if !defined(SLICE) || !defined(UNROLL)
+#error "SLICE and UNROLL must be given, see above"
 #endif
 
 __kernel void sum_stored(

@@ -25,13 +25,9 @@
 // -D PARTIALS  largest number of sums of a stage
 // -D LARGEST_CHANGE  limit of the changes of potentials, powers of two (log2)
 
-#ifndef LARGEST_CHANGE
-#error "LARGEST_CHANGE (limit of the changes of potentials) must be given"
+#if !defined(LARGEST_CHANGE) || !defined(PARTIALS)
+#error "LARGEST_CHANGE and PARTIALS must be given, see above"
 #endif
-#ifndef PARTIALS
-#error "PARTIALS (largest number of sums of a stage) must be given"
-#endif
-
 #include "vector_steps.cl"
 
 #define ROW_GIVEN(slot) (given_rows + (size_t)(slot) * n)
@@ -65,8 +61,8 @@ INLINE reals stored_softmin(
     const __global float* maxima, const __global float* sums, const __global real* base,
     const __global real* alone, const real middle, const real k, const uint i)
 {
-    const reals m = TO_REALS(SLOAD(i, maxima));
-    const reals logarithm = PLUS(PLUS(m, SPREAD(middle)), LOG2(TO_REALS(SLOAD(i, sums))));
+    const reals m = TO_REALS(DLOAD(i, maxima));
+    const reals logarithm = PLUS(PLUS(m, SPREAD(middle)), LOG2(TO_REALS(DLOAD(i, sums))));
     const reals softmin = MINUS(DLOAD(i, base), TIMES(logarithm, SPREAD(OVER(REAL(1), k))));
     return BELOW(REALS(0.4f * SENTINEL), m, softmin, DLOAD(i, alone));
 }
@@ -169,7 +165,7 @@ void prepare_changes(
             DSTORE(DLOAD(i, start), i, COLUMN(COLUMN_START));
         const reals change = change_of(DLOAD(i, COLUMN(G_AT)), DLOAD(i, COLUMN_GIVEN(GIVEN_ORIGIN)),
                                          DLOAD(i, COLUMN_GIVEN(GIVEN_WEIGHTS)), k);
-        SSTORE(TO_VSINGLE(MINUS(change, SPREAD(middle))), i, changes);
+        DSTORE(TO_VSINGLE(MINUS(change, SPREAD(middle))), i, changes);
     }
     if (get_global_id(0) == 0)
         numbers[NUMBER_COLUMN_MIDDLE] = middle;
@@ -232,7 +228,7 @@ void row_step(
         DSTORE(f, i, ROW(ROW_F));
         const reals weights = DLOAD(i, ROW_GIVEN(GIVEN_WEIGHTS));
         const reals change = change_of(f, DLOAD(i, ROW_GIVEN(GIVEN_ORIGIN)), weights, k);
-        SSTORE(TO_VSINGLE(MINUS(change, SPREAD(middle))), i, changes);
+        DSTORE(TO_VSINGLE(MINUS(change, SPREAD(middle))), i, changes);
         up = LARGER(up, change);
         down = LARGER(down, NEGATIVE(change));
         const reals move = MINUS(f, DLOAD(i, ROW_GIVEN(GIVEN_CENTER)));
@@ -437,7 +433,7 @@ void next_potential(
         DSTORE(guess, i, COLUMN(COLUMN_GUESS_0 + PARITY));
         const reals change = change_of(found ? guess : image, DLOAD(i, COLUMN_GIVEN(GIVEN_ORIGIN)),
                                          DLOAD(i, COLUMN_GIVEN(GIVEN_WEIGHTS)), k);
-        SSTORE(TO_VSINGLE(MINUS(change, SPREAD(middle))), i, changes);
+        DSTORE(TO_VSINGLE(MINUS(change, SPREAD(middle))), i, changes);
         up = LARGER(up, change);
         down = LARGER(down, NEGATIVE(change));
     }

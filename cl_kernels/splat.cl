@@ -14,11 +14,8 @@
 #include "common.cl"
 #include "bins.cl"
 
-#ifndef CHUNK
-#define CHUNK 256 // rounding grows with CHUNK + n / CHUNK
-#endif
-#ifndef TILE_GROUP
-#define TILE_GROUP 1
+#if !defined(CHUNK) || !defined(TILE_GROUP)
+#error "CHUNK and TILE_GROUP must be given, see above"
 #endif
 
 // One-dimensional kernel at WIDTH pixels. nearest: the box of one pixel, half open, in

@@ -2,7 +2,7 @@
 //
 // Included after row_loop.cl, whose exponents it sums.
 //
-// -D BOUNDED 0 (default): float32.
+// -D BOUNDED 0: float32.
 //            1: in the width of the exponents, which must be PRECISE (see exponents.cl). With
 //            float64 powers are exact to 2^-44 and additions to 2^-53, with unevaluated sums of
 //            two float32 to 2^-31 and to 2^-45. The reference m of the powers is a whole number,
@@ -13,11 +13,8 @@
 // -D FLOAT32_UNROLL  columns taken together where exponents are float32, divides TILE
 // -D MASKED_UNROLL   columns of a mask taken together (MASKED, see row_loop.cl), at most UNROLL
 
-#ifndef BOUNDED
-#define BOUNDED 0
-#endif
-#if MASKED && !defined(MASKED_UNROLL)
-#error "MASKED_UNROLL (columns of a mask taken together) must be given"
+#if !defined(BOUNDED) || MASKED && !defined(MASKED_UNROLL) || BOUNDED == 2 && !defined(FLOAT32_UNROLL)
+#error "BOUNDED, with it FLOAT32_UNROLL, and with MASKED also MASKED_UNROLL must be given, see above"
 #endif
 
 #if !BOUNDED
@@ -189,19 +186,19 @@ INLINE void store_sum(const sreal s, const size_t at, const size_t plane, __glob
 }
 #endif // BOUNDED
 
-// With MASKED few columns are taken together. To test whether the maximum has grown then takes less time than
-// to rescale.
-#if MASKED
-#define RESCALE_BY(n)                                                                          \
-    if (ANY((n) < 0.0f)) {                                                                     \
-        *sum = rescaled(*sum, n);                                                              \
-        s_tile = rescaled(s_tile, n);                                                          \
-    }
-#else
-#define RESCALE_BY(n)                                                                          \
-    *sum = rescaled(*sum, n);                                                                  \
-    s_tile = rescaled(s_tile, n)
+// Raise the maximum to that of further exponents, and rescale the sums of powers relative to it.
+INLINE void raise_maximum(const vreal highest, vreal* maximum, sreal* sum, sreal* of_tile)
+{
+    const vreal m_new = max(*maximum, reference_for(highest));
+    const vreal n = *maximum - m_new;
+    *maximum = m_new;
+#if MASKED // few columns are taken together: to ask whether the maximum has grown takes less time
+    if (!ANY(n < 0.0f))
+        return;
 #endif
+    *sum = rescaled(*sum, n);
+    *of_tile = rescaled(*of_tile, n);
+}
 
 // Add some staged columns (see row_loop.cl), UNROLL at most, to the maximum m = max_j reference_for(e_ij) and
 // to the sum of their tile. The sum over the tiles before, sum_j 2^(e_ij - m), is rescaled.
@@ -216,24 +213,20 @@ INLINE void add_columns(
         e[c] = exponent(u, staged, columns[c]);
         highest = max(highest, about(e[c]));
     }
-    const vreal m = *maximum;
-    const vreal m_new = max(m, reference_for(highest));
-    sreal s_tile = *of_tile;
-    RESCALE_BY(m - m_new);
+    raise_maximum(highest, maximum, sum, of_tile);
 #if BOUNDED == 2
     vreal few = (vreal)(0.0f);
 #pragma unroll
     for (int c = 0; c < count; ++c)
-        few += exp2_nonpositive(e_above(e[c], m_new));
-    *of_tile = s_tile + TO_EREAL(few);
+        few += exp2_nonpositive(e_above(e[c], *maximum));
+    *of_tile += TO_EREAL(few);
 #else
     sreal few = NO_SUM;
 #pragma unroll
     for (int c = 0; c < count; ++c)
-        few = sum_of(few, power_above(e[c], m_new));
-    *of_tile = sum_of(s_tile, few);
+        few = sum_of(few, power_above(e[c], *maximum));
+    *of_tile = sum_of(*of_tile, few);
 #endif
-    *maximum = m_new;
 }
 
 #if TOPS
@@ -299,10 +292,6 @@ INLINE sreal add_tile(
 }
 
 #if BOUNDED == 2
-#ifndef FLOAT32_UNROLL
-#error "FLOAT32_UNROLL (columns taken together where exponents are float32) must be given"
-#endif
-
 // The staged columns, rounded to float32.
 INLINE void stage_in_float32(
     const __local staged_real* staged, __local float* rounded)
@@ -329,16 +318,12 @@ INLINE void add_columns_in_float32(
         e[c] += staged[DIM * STAGED_ROW + columns[c]];
         highest = max(highest, e[c]);
     }
-    const vreal m = *maximum;
-    const vreal m_new = max(m, reference_for(highest));
-    sreal s_tile = *of_tile;
-    RESCALE_BY(m - m_new);
+    raise_maximum(highest, maximum, sum, of_tile);
     vreal few = (vreal)(0.0f);
 #pragma unroll
     for (int c = 0; c < count; ++c)
-        few += exp2_nonpositive(e[c] - m_new);
-    *of_tile = s_tile + TO_EREAL(few);
-    *maximum = m_new;
+        few += exp2_nonpositive(e[c] - *maximum);
+    *of_tile += TO_EREAL(few);
 }
 
 // As add_tile, with exponents in float32.

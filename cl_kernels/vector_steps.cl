@@ -35,23 +35,10 @@
 #include "common.cl"
 #include "reals.cl"
 
-#ifndef GROUP
-#error "GROUP (work-items of a group) must be given"
+#if !defined(GROUP) || !defined(MEMORY) \
+    || !defined(RIDGE_PPT) || !defined(MIXING_PERCENT) || !defined(MAX_EXPONENT)
+#error "GROUP, MEMORY, RIDGE_PPT, MIXING_PERCENT and MAX_EXPONENT must be given, see above"
 #endif
-#ifndef MEMORY
-#error "MEMORY (stored differences) must be given"
-#endif
-#ifndef RIDGE_PPT
-#error "RIDGE_PPT (regularization of the normal equations) must be given"
-#endif
-
-#ifndef MIXING_PERCENT
-#error "MIXING_PERCENT (share of the residual that is added) must be given"
-#endif
-#ifndef MAX_EXPONENT
-#error "MAX_EXPONENT (largest argument of exp) must be given"
-#endif
-
 #define FIRST (get_local_id(0) * LANES)
 #define STEP (GROUP * LANES)
 
