@@ -26,6 +26,9 @@ from clmorph.transport.plan import Plan
 
 Array = NDArray[np.float64]
 
+#: Side of the blocks in which a correction that rests is held, or none is.
+BLOCK = 64
+
 #: Kernel width of the correction in units of the pixels' spacing: it hardly reaches the next pixel.
 NARROW = 0.3
 
@@ -72,6 +75,14 @@ def ladder(widths: Array) -> Array:
     if low <= 0 or high <= low:
         return np.array([low])
     return np.geomspace(low, high, 1 + int(np.ceil(np.log(high / low) / np.log(STEP))))
+
+
+class _Rest(NamedTuple):
+    """What rests at one end: of a drawing little more than its outlines."""
+
+    shape: tuple[int, ...]
+    #: Parts of the picture, rows and columns, and what is missing there.
+    parts: list[tuple[tuple[slice, ...], NDArray[np.float32]]]
 
 
 class Details:
@@ -138,7 +149,7 @@ class EndCorrection:
         share: Callable[[float], float] = share,
     ) -> None:
         self._details, self._share = details, share
-        self._rest: list[NDArray[np.float32] | None] = [None, None]
+        self._rest: list[_Rest | None] = [None, None]
 
     def on(self, operations: Operations) -> "EndCorrection":
         """Return the same correction for another device."""
@@ -158,17 +169,27 @@ class EndCorrection:
 
     def set_rest(self, end: int, missing: Array) -> None:
         """Set the difference that remains at an end, 0 or 1, after correction: (H, W, C) array."""
-        if max(missing.max(), -missing.min()) > ROUNDING:
-            self._rest[end] = missing.astype(np.float32)
+        rest = _Rest(missing.shape, [])
+        for top, left in np.ndindex(*(-(-side // BLOCK) for side in missing.shape[:2])):
+            block = tuple(slice(BLOCK * at, BLOCK * (at + 1)) for at in (top, left))
+            part = missing[block]
+            if max(part.max(), -part.min()) > ROUNDING:
+                rest.parts.append((block, part.astype(np.float32)))
+        if rest.parts:
+            self._rest[end] = rest
 
     def correct(self, frame: NDArray[np.floating], t: float) -> None:
         """Add the correction that rests to the finished frame at t, (H, W, C), in place."""
         share = self._share(t)
-        for end, missing in zip(((1 - t), t), self._rest, strict=True):
-            if missing is not None and end * share > 0:
-                if missing.shape != frame.shape:
-                    missing = resized(missing, frame.shape[:2]).astype(np.float32)
-                frame += float(end * share) * missing
+        for end, rest in zip(((1 - t), t), self._rest, strict=True):
+            if rest is None or end * share == 0:
+                continue
+            strength = float(end * share)
+            missing = frame if rest.shape == frame.shape else np.zeros(rest.shape, np.float32)
+            for block, part in rest.parts:
+                missing[block] += strength * part
+            if missing is not frame:
+                frame += resized(missing, frame.shape[:2]).astype(np.float32)
         np.clip(frame, 0.0, 1.0, out=frame)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,8 @@ Array = NDArray[np.float64]
 class End:
     """A picture that frames show at one end."""
 
-    #: sRGB in [0, 1]: (H, W, 3) array.
-    colors: Array
+    #: sRGB in [0, 1]: (H, W, 3) array; of large pictures in float32.
+    colors: NDArray[Any]
     #: Opacity, (H, W); None if all pixels are opaque.
     alpha: Array | None
     #: How pixels map to positions, see `clmorph.lift`.
@@ -37,7 +38,7 @@ class End:
 
 
 def ends_of(
-    measures: tuple[Measure, Measure], pictures: Sequence[Array] | None = None
+    measures: tuple[Measure, Measure], pictures: Sequence[NDArray[Any]] | None = None
 ) -> tuple[End, End]:
     """Return both ends; opaque pictures, (H, W, 3), can replace the pixels of the measures."""
     if pictures is None:

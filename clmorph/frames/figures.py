@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from clmorph.measures.measure import Measure
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 _Bool = NDArray[np.bool_]
+_Real = TypeVar("_Real", np.float32, np.float64)
 
 #: Share of the pixels without mass that must have one color, so that they are a ground.
 FLAT_SHARE = 0.75
@@ -124,7 +125,8 @@ def _figure(around: _Bool, end: End) -> Figure:
         pure[rim] = shares_in_mixtures(end.colors, ground, rim) >= PURE
         pure = pure if pure.any() else inside
         edge = np.abs(distance) <= 1
-        covered = _covered(end.colors[edge], beyond(end.colors, pure)[edge], ground)
+        rows, columns = _nearest(pure)
+        covered = _covered(end.colors[edge], end.colors[rows[edge], columns[edge]], ground)
         mixed = (covered > 0) & (covered < 1)
         distance[edge] = np.where(mixed, covered - 0.5, distance[edge])
         return Figure(pure, distance, _all(1.0, end), 1.0, ground, 1.0)
@@ -154,11 +156,14 @@ def _covered(colors: Array, figure: Array, ground: Array) -> Array:
     return np.where(lies_between, share, 0.0)
 
 
-def beyond(image: Array, pure: _Bool) -> Array:
+def beyond(image: NDArray[_Real], pure: _Bool) -> NDArray[_Real]:
     """Return an image (H, W, C) whose figure is continued over its edge and over the ground."""
+    return image if pure.all() else image[_nearest(pure)]
+
+
+def _nearest(pure: _Bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return the row and the column of the nearest pixel that belongs to a figure, (H, W) each."""
     from scipy.ndimage import distance_transform_edt
 
-    if pure.all():
-        return image
     rows, columns = distance_transform_edt(~pure, return_distances=False, return_indices=True)
-    return image[rows, columns]
+    return rows, columns

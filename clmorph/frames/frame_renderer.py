@@ -55,7 +55,7 @@ class FrameRenderer:
         endpoints: str,
         unmatched: str,
         detail: str,
-        pictures: Sequence[NDArray[np.float64]] | None = None,
+        pictures: Sequence[NDArray[np.floating]] | None = None,
     ) -> None:
         #: The renderer on another device, whose data on the host this one uses.
         self._like: FrameRenderer | None = None

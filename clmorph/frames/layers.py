@@ -25,7 +25,6 @@ from clmorph.frames.outline import thinness
 from clmorph.frames.particles import Particles
 from clmorph.frames.pictures import MET, Pictures, lightness_of
 from clmorph.frames.registration import PATH_ROUNDS, STEPS, Scene
-from clmorph.frames.resampling import reduced
 from clmorph.frames.switching import switched, switching_times
 from clmorph.measures.measure import Measure
 
@@ -64,24 +63,22 @@ class Layers:
         self.stage = pictures.stage
         sizes = len(measures[0]), len(measures[1])
         labels = particles.labels
-        first, second = pictures.continued
+        (first, second), cells = pictures.continued, pictures.cells
+        colors = (first, cells[1]), (cells[0], second)
         fields = [
             field_of(
-                particles, number, sizes, (first, second), canvases, operations,
+                particles, number, sizes, colors[number], canvases, operations,
                 None if labels is None else labels[number].reshape(measure.shape),
                 figure=figures is not None,
             )
             for number, measure in enumerate(measures)
         ]  # fmt: skip
         shapes = [field.canvas.shape for field in fields]
-        own, continued = (
-            [reduced(image, shape) for image, shape in zip(images, shapes, strict=True)]
-            for images in (pictures.own, pictures.continued)
-        )
         lightness = lightness_of(space)
         scene = Scene(
-            fields, own, continued, pictures.outlines(shapes), lightness, self.stage, operations
-        )
+            fields, pictures.own, pictures.continued, pictures.outlines(shapes), lightness,
+            self.stage, operations,
+        )  # fmt: skip
         if figures is not None:
             scene.meet_outlines()
         self.agreement = scene.meet_details()

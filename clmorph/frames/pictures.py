@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from functools import lru_cache, partial, reduce
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.records import LayerView
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
-from clmorph.frames.fields import POINTS, affine, blurred
+from clmorph.frames.fields import CELLS, POINTS, affine, blurred
 from clmorph.frames.figures import Figure, beyond
 from clmorph.frames.moved_layer import Layer, led_to
 from clmorph.frames.outline import around, outline_of, thinness
@@ -49,7 +49,7 @@ MARGIN = 1 / 8
 COVER = 2.0
 #: Agreement below this is none: nobody sees the share of a color that it has.
 FAINT = 1 / 512
-#: Pixels of a frame of figures that are drawn at a time.
+#: Pixels of a large frame or picture that are made at a time.
 BAND = 1 << 21
 
 
@@ -68,26 +68,29 @@ class Channels:
         *,
         signed: bool,
     ) -> None:
-        self._images, self.canvas, self._operations = images, canvas, operations
-        self._signed = signed
-        self.level = lru_cache(maxsize=None)(self._level)
+        self.canvas, self._operations, self._signed = canvas, operations, signed
+        # Large pictures are needed once: copies with half the pixels are enough for the others.
+        half = self._canvas_at(1).shape
+        self._levels = {0: self._uploaded(images, canvas)}
+        self._half = [reduced(image, half) for image in images]
 
-    def on(self, operations: Operations) -> Channels:
-        """Return the same picture for another device."""
-        other = copy(self)
-        other._operations, other.level = operations, lru_cache(maxsize=None)(other._level)
-        return other
+    def _canvas_at(self, halvings: int) -> Canvas:
+        return self.canvas.reduced(max(1, round(max(self.canvas.shape) / 2**halvings)))
 
-    def _level(self, halvings: int) -> tuple[Any, Canvas]:
+    def level(self, halvings: int) -> tuple[Any, Canvas]:
         """Return the picture with fewer pixels, and these."""
+        if halvings not in self._levels:
+            small = self._canvas_at(halvings)
+            self._levels[halvings] = self._uploaded(self._half, small)
+        return self._levels[halvings]
+
+    def _uploaded(self, images: Sequence[Float32], small: Canvas) -> tuple[Any, Canvas]:
         from scipy.ndimage import spline_filter
 
-        longest = max(self.canvas.shape)
-        small = self.canvas.reduced(max(1, round(longest / 2**halvings)))
         margin = round(MARGIN * max(small.shape)) if self._signed else 0
         height, width = (side + 2 * margin for side in small.shape)
         spline = np.zeros((height, width, 4), np.float32)
-        channels = (image[..., c : c + 1] for image in self._images for c in range(image.shape[2]))
+        channels = (image[..., c : c + 1] for image in images for c in range(image.shape[2]))
         for number, channel in enumerate(channels):
             plane = reduced(channel, small.shape)[..., 0]
             if number == 3 and self._signed:
@@ -177,7 +180,7 @@ class Pictures:
         operations: Operations,
     ) -> None:
         self._space, self._operations, self.canvases = space, operations, list(canvases)
-        self.figures = figures
+        self._ends, self.figures = ends, figures
         self._areas = [figure.area for figure in figures or ()]
         #: How far outlines on the way are smoothed, from 0 to 1: not at all where they coincide.
         self.smoothing = 1.0
@@ -185,54 +188,51 @@ class Pictures:
         self.clear = any(end.alpha is not None for end in ends)
         self.stage = stage_of(canvases)
         self._per_unit = max(*self.stage.scale, 1e-9)
-        #: The pictures, those whose figures are continued, and those that are sampled by name.
-        self.own = [_single(to_space(end.colors, space)) for end in ends]
-        self.continued = self.own
-        images: dict[str, list[list[Float32]]] = {"own": [[own] for own in self.own]}
-        if figures is not None:
-            self.continued = [
-                _single(to_space(beyond(end.colors, figure.pure), space))
-                for end, figure in zip(ends, figures, strict=True)
-            ]
-            images["figure"] = [
-                [colors, figure.distance[..., None] / np.float32(max(*canvas.scale, 1e-9))]
-                for colors, figure, canvas in zip(self.continued, figures, canvases, strict=True)
-            ]
-        if figures is not None and self.clear:
-            opacities = [np.ones(end.shape) if end.alpha is None else end.alpha for end in ends]
-            # Transparent pixels have the colors of the figure beside them.
-            self.own = [
-                np.where(alpha[..., None] > 0, own, continued)
-                for alpha, own, continued in zip(opacities, self.own, self.continued, strict=True)
-            ]
-            images["own"] = [
-                [own, _single(alpha)[..., None]]
-                for own, alpha in zip(self.own, opacities, strict=True)
-            ]
-            if any(figure.translucent for figure in figures):
-                images["alpha"] = [
-                    [
-                        np.broadcast_to(np.float32(0), (*figure.alpha.shape, 3)),
-                        figure.alpha[..., None],
-                    ]
-                    for figure in figures
-                ]
-        self._channels = {
-            name: [
-                Channels(channels, canvas, operations, signed=name == "figure")
-                for channels, canvas in zip(same, canvases, strict=True)
-            ]
-            for name, same in images.items()
-        }
+        self._upload()
+
+    def _upload(self) -> None:
+        #: Copies with a pixel for each point of a field: the pictures, and those whose figures are
+        #: continued; these with a pixel for each cell too.
+        self.own: list[Any] = []
+        self.continued: list[Any] = []
+        self.cells: list[Any] = []
+        self._channels: dict[str, list[Channels]] = {}
+        for number, canvas in enumerate(self.canvases):
+            points, cells = (canvas.reduced(side).shape for side in (POINTS, CELLS))
+            own, continued, sampled = self._images(number)
+            self.own.append(reduced(own, points))
+            self.continued.append(reduced(continued, points))
+            self.cells.append(reduced(continued, cells))
+            del own, continued
+            for name, images in sampled.items():
+                channels = Channels(images, canvas, self._operations, signed=name == "figure")
+                self._channels.setdefault(name, []).append(channels)
+
+    def _images(self, number: int) -> tuple[Float32, Float32, dict[str, list[Float32]]]:
+        """Return one picture, with its figure continued too, and what is sampled, by name."""
+        end = self._ends[number]
+        own = _in_space(end.colors, self._space)
+        if self.figures is None:
+            return own, own, {"own": [own]}
+        figure, scale = self.figures[number], max(*self.canvases[number].scale, 1e-9)
+        continued = beyond(own, figure.pure)
+        sampled = {"figure": [continued, figure.distance[..., None] / np.float32(scale)]}
+        if not self.clear:
+            return own, continued, sampled | {"own": [own]}
+        opacity = np.ones(end.shape) if end.alpha is None else end.alpha
+        # Transparent pixels have the colors of the figure beside them.
+        own = np.where(opacity[..., None] > 0, own, continued)
+        sampled["own"] = [own, opacity[..., None].astype(np.float32)]
+        if any(each.translucent for each in self.figures):
+            black = np.broadcast_to(np.float32(0), (*figure.alpha.shape, 3))
+            sampled["alpha"] = [black, figure.alpha[..., None]]
+        return own, continued, sampled
 
     def on(self, operations: Operations) -> Pictures:
         """Return the same pictures for another device."""
         other = copy(self)
         other._operations = operations
-        other._channels = {
-            name: [each.on(operations) for each in channels]
-            for name, channels in self._channels.items()
-        }
+        other._upload()
         return other
 
     def outlines(self, shapes: Sequence[tuple[int, int]]) -> list[Array] | None:
@@ -446,9 +446,14 @@ class Pictures:
         return parts @ colors / alpha, alpha
 
 
-def _single(image: Array) -> Any:
-    """Return an image in float32: large pictures are held for as long as the film is."""
-    return image.astype(np.float32)
+def _in_space(colors: NDArray[np.floating], space: str) -> Float32:
+    """Return sRGB colors (H, W, 3) in the space of a path, some rows at a time."""
+    found = np.empty(colors.shape, np.float32)
+    together = max(1, BAND // colors.shape[1])
+    for first in range(0, len(colors), together):
+        rows = slice(first, first + together)
+        found[rows] = to_space(colors[rows], space)
+    return found
 
 
 def _where_covered(

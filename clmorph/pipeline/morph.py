@@ -243,6 +243,8 @@ class ImagePair:
             log_threshold=options.log_threshold,
         )  # fmt: skip
         report("plan", 1.0)
+        # Large pictures are held for as long as the film is.
+        shown = [image.astype(np.float32) for image in self.images] if small else []
         result = Morph(
             source=source,
             target=target,
@@ -263,7 +265,7 @@ class ImagePair:
             options=options,
             arrays=self.maps.names,
             shapes=(self.given_shapes[0], self.given_shapes[1]),
-            pictures=None if small is None else (self.images[0], self.images[1]),
+            pictures=None if small is None else (shown[0], shown[1]),
             found=self.found,
             misses=misses,
         )  # fmt: skip

@@ -64,9 +64,9 @@ class Morph(Film):
     shapes : pair of (height, width) or None
         Shapes of the images as they were given; None if they are those of the measures.
     pictures : pair of (H, W, 3) arrays or None
-        The images as frames show them at both ends, where they have more pixels than the measures:
-        with layers, particles give fields alone, so that above 512 pixels along the longer side
-        smaller copies are lifted, unless more is solved than these.
+        The images as frames show them at both ends, in float32, where they have more pixels than
+        the measures: with layers, particles give fields alone, so that above 512 pixels along the
+        longer side smaller copies are lifted, unless more is solved than these.
     found : str
         What ``landmarks="auto"`` has found, in a line; "" if nothing. `options` has the points.
     misses : (n,) array
@@ -101,9 +101,7 @@ class Morph(Film):
     options: MorphOptions = field(default_factory=MorphOptions, repr=False)
     arrays: tuple[str, ...] = ()
     shapes: tuple[tuple[int, int], tuple[int, int]] | None = None
-    pictures: tuple[NDArray[np.float64], NDArray[np.float64]] | None = field(
-        default=None, repr=False
-    )
+    pictures: tuple[NDArray[Any], NDArray[Any]] | None = field(default=None, repr=False)
     found: str = ""
     misses: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), repr=False)
     _renderer: SpreadRenderer = field(init=False, repr=False, compare=False)
