@@ -20,8 +20,8 @@ from clmorph.frames.resampling import Enlarged
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-#: Rounds of bisection by which a level is found.
-ROUNDS = 40
+#: Rounds of bisection by which a level is found; pixels of a large frame that are looked at in one.
+ROUNDS, TOGETHER = 40, 1 << 21
 #: Width of the Gaussian that smooths an outline where both pictures count alike, twice: a share of
 #: the longer side, and at least some pixels.
 SMOOTH, NARROWEST = 0.006, 1.2
@@ -145,18 +145,24 @@ def level_of(
     low, high = max(low, -most), min(high, most)
     if low > high:
         low = high = float(np.clip(0.0, high, low))
-    wanted, inside = area * distance.size, 0
-    open_, width = distance.ravel(), softness.ravel()
+    wanted, inside = area * distance.size, 0.0
+    parts = -(-distance.size // TOGETHER)
+    still = [np.array_split(each.ravel(), parts) for each in (distance, softness)]
+    unsure = list(zip(*still, strict=True))
     level = low
     for _ in range(ROUNDS):
         level = 0.5 * (low + high)
-        found = np.clip(0.5 + (open_ - level) / width, 0.0, 1.0).sum(dtype=float) + inside
+        found = inside + sum(
+            np.clip(0.5 + (open_ - level) / width, 0.0, 1.0).sum(dtype=float)
+            for open_, width in unsure
+        )
         low, high = (level, high) if found > wanted else (low, level)
         # Pixels that are inside, or outside, at each level that is left need no further look.
-        sure = open_ - high >= 0.5 * width
-        unsure = ~sure & (low - open_ < 0.5 * width)
-        inside += int(sure.sum())
-        open_, width = open_[unsure], width[unsure]
+        for number, (open_, width) in enumerate(unsure):
+            sure = open_ - high >= 0.5 * width
+            left = ~sure & (low - open_ < 0.5 * width)
+            inside += float(sure.sum())
+            unsure[number] = open_[left], width[left]
     return level
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from functools import partial, reduce
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -284,11 +284,12 @@ class Pictures:
         covered = _where_covered(distances, shares, weights)
         thin = thin * thinness(np.max(distances, axis=0))
         lines = [each + thin * (weight - each) for each, weight in zip(even, weights, strict=True)]
-        shown: dict[tuple[int, int], Float32] = {}
 
         def distance_on(on: Canvas) -> Float32:
-            shown[on.shape] = drawn("figure", covered, on, fourth=lines)
-            return shown[on.shape][..., 3]
+            found = np.empty(on.shape, np.float32)
+            for rows in _bands(on):
+                found[rows] = drawn("figure", covered, on, fourth=lines, rows=rows)[..., 3]
+            return found
 
         outline = outline_of(
             distance_on, canvas, np.ptp(distances, axis=0) * (1.0 - thin), self.stage,
@@ -297,7 +298,7 @@ class Pictures:
             softness=float(np.dot(shares, [each.softness for each in self.figures])),
             most=np.inf if any(each.pure.all() for each in self.figures) else LEVEL,
         )  # fmt: skip
-        figure: Callable[[slice], Float32]
+        led = layers
         if self.smoothing > 0.0 and max(shares) < 1.0:
             way = affine(self.stage, outline.canvas)
             edge = Enlarged(outline.distance, way, self.stage.shape).rows() * self._per_unit
@@ -305,13 +306,9 @@ class Pictures:
                 led_to(layer, own, edge.astype(float), share, self.stage, self._operations)
                 for layer, own, share in zip(layers, distances, ways, strict=True)
             ]
-            shown.clear()
-            inside = outline.reached(self.stage)
-            within = [weight * inside for weight in covered]
-            none = [np.zeros(self.stage.shape)] * len(within)
-            figure = partial(self._drawn, "figure", led, ways, within, none, canvas, None)
-        else:
-            figure = shown[canvas.shape].__getitem__
+        inside = outline.reached(self.stage)
+        within = [weight * inside for weight in covered]
+        none = [np.zeros(self.stage.shape)] * len(within)
         # What agrees is a warp of both pictures, with the edges that they have.
         meet = np.exp(-((np.ptp(np.clip(distances, -2 * NEAR, 2 * NEAR), axis=0) / NEAR) ** 2))
         # Where the area asks for another outline, the pictures' own ones would be halos.
@@ -323,14 +320,11 @@ class Pictures:
         on_canvas = Enlarged(seen.astype(np.float32), affine(canvas, self.stage), canvas.shape)
         lies_inside, ground = outline.on(canvas), self._ground(shares)
         frame = np.empty((*canvas.shape, 4 if self.clear else 3), np.float32)
-        height, width = canvas.shape
-        for first in range(0, height, max(1, BAND // width)):
-            rows = slice(first, min(first + max(1, BAND // width), height))
+        for rows in _bands(canvas):
+            figure = self._drawn("figure", led, ways, within, none, canvas, rows=rows)
             own = drawn("own", there, canvas, fourth=there, rows=rows) if seen.any() else None
             opacity = drawn("alpha", weights, canvas, rows=rows)[..., 3] if translucent else None
-            self._put_together(
-                frame, rows, figure(rows), lies_inside, opacity, ground, own, on_canvas
-            )
+            self._put_together(frame, rows, figure, lies_inside, opacity, ground, own, on_canvas)
         return frame
 
     def _put_together(
@@ -449,11 +443,16 @@ class Pictures:
 def _in_space(colors: NDArray[np.floating], space: str) -> Float32:
     """Return sRGB colors (H, W, 3) in the space of a path, some rows at a time."""
     found = np.empty(colors.shape, np.float32)
-    together = max(1, BAND // colors.shape[1])
-    for first in range(0, len(colors), together):
-        rows = slice(first, first + together)
+    for rows in _bands(colors):
         found[rows] = to_space(colors[rows], space)
     return found
+
+
+def _bands(over: Canvas | NDArray[Any]) -> list[slice]:
+    """Return the rows of a canvas, or of a picture, in parts that take little memory."""
+    height, width = over.shape[:2]
+    together = max(1, BAND // width)
+    return [slice(row, min(row + together, height)) for row in range(0, height, together)]
 
 
 def _where_covered(
