@@ -2,6 +2,8 @@
 
 import email
 import os
+import re
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -71,6 +73,39 @@ def test_workflows_have_every_version_of_python():
     tested = {*matrix["python"], *(each["python"] for each in matrix["include"])}
     words = (each.rpartition(" ")[2] for each in PROJECT["classifiers"] if "Python :: 3." in each)
     assert tested == set(words)
+
+
+def test_steps_of_workflows_are_those_of_ci():
+    """Beside those that install; what only a workflow runs is never tried."""
+    installing = {"Install", "PoCL", "PoCL and Apple's OpenCL", "Intel's runtime"}
+    ours, found = (ROOT / ".ci/run").read_text("utf-8"), set()
+    for file in (ROOT / ".github/workflows").glob("*.yml"):
+        for job in yaml.safe_load(file.read_text("utf-8"))["jobs"].values():
+            runs = (step for step in job["steps"] if "run" in step)
+            found |= {step["run"] for step in runs if step.get("name") not in installing}
+    assert found
+    for command in found:
+        (script,) = re.findall(r"\.ci/\w+|tools/\S+\.py", command)
+        assert "\n" not in command
+        assert script in ours, command
+
+
+@pytest.mark.parametrize(("tag", "passed"), [("v{}", True), ("v9.9", False), ("", True)])
+def test_a_tag_names_the_version(built, tmp_path, tag, passed):
+    """The script that builds a release, with programs that build nothing."""
+    script = tmp_path / ".ci" / "distributions"
+    script.parent.mkdir()
+    shutil.copy(ROOT / ".ci/distributions", script)
+    (tmp_path / "dist").mkdir()
+    shutil.copy(built[0], tmp_path / "dist")
+    given = {"GITHUB_REF_TYPE": "tag" if tag else "branch", "GITHUB_REF_NAME": tag or "main"}
+    given["GITHUB_REF_NAME"] = given["GITHUB_REF_NAME"].format(PROJECT["version"])
+    done = subprocess.run(
+        ["bash", script, "true"], capture_output=True, text=True, check=False,
+        env=os.environ | given,
+    )  # fmt: skip
+    assert (done.returncode == 0) == passed, done.stdout + done.stderr
+    assert passed == ("is not the version" not in done.stdout)
 
 
 def test_the_sdist_is_complete(built):
