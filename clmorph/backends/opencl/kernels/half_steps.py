@@ -9,6 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import MEMORY
+from clmorph.backends.opencl.build import half_step_slots
 from clmorph.backends.opencl.build.constants import SENTINEL, SLICED_FROM
 from clmorph.backends.opencl.build.half_step_slots import (
     COLUMN_SLOTS,
@@ -25,7 +26,6 @@ from clmorph.backends.opencl.kernels.resident_iteration import (
     DeviceIteration,
     Launch,
     ResidentSteps,
-    Slots,
 )
 from clmorph.backends.opencl.kernels.row_loop import KEPT_LEVELS, LOG2_E, RowLoop, work_of_pair
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
@@ -95,10 +95,10 @@ class BatchIteration(DeviceIteration):
     table: NDArray[np.uint32] = field(init=False)
 
 
-class HalfSteps(ResidentSteps):
+class HalfSteps(ResidentSteps[BatchIteration]):
     """Iterations over all pairs of points, of one problem or of many."""
 
-    variant, slots = Variant("half_steps.cl"), Slots(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
+    variant, slots = Variant("half_steps.cl"), half_step_slots
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         super().__init__(loop, take_turns)
@@ -143,9 +143,8 @@ class HalfSteps(ResidentSteps):
         self._keep(made, np.arange(len(blocks)))
         return made
 
-    def _keep(self, iteration: DeviceIteration, problems: NDArray[np.intp]) -> None:
+    def _keep(self, iteration: BatchIteration, problems: NDArray[np.intp]) -> None:
         """Write lines of some problems, and list the pairs of their tiles, if there are many."""
-        assert isinstance(iteration, BatchIteration)
         (rows, columns), tile, work = iteration.batches, self._loop.constants.tile, self._work
         left = np.zeros(len(rows.counts), bool)
         left[problems] = True
@@ -196,21 +195,16 @@ class HalfSteps(ResidentSteps):
             (rows, masses[0], len(ROW_SLOTS)),
             (columns, masses[1], len(COLUMN_SLOTS) - 2 + 2 * MEMORY),
         ):
-            vectors = np.zeros((slots, cloud.stride))
-            n = len(cloud)
             with np.errstate(divide="ignore"):
                 logarithms = np.log(own / units[1])
             costs, offsets = cloud.own_costs / units[0], cloud.offsets / units[0]
-            given = own / units[1], logarithms, costs, offsets, cloud.log2_weights
-            for place, values in enumerate(given):
-                vectors[place, :n] = values
             # Points that pad a side have no mass.
-            for name, filler in (
-                ("LOG_WEIGHTS", -np.inf), ("LOG2_WEIGHTS", SENTINEL),
-            ):  # fmt: skip
-                vectors[GIVEN.index(name), n:] = filler
-            for name in ("OWN_COSTS", "OFFSETS"):
-                vectors[GIVEN.index(name), n:] = vectors[GIVEN.index(name), n - 1]
+            given = (
+                (own / units[1], 0.0), (logarithms, -np.inf), (costs, costs[-1]),
+                (offsets, offsets[-1]), (cloud.log2_weights, SENTINEL),
+            )  # fmt: skip
+            vectors = np.zeros((slots, cloud.stride))
+            vectors[: len(GIVEN)] = [pad(values, cloud.stride, filler) for values, filler in given]
             sides.append(self._buffer(vectors))
         longest = max(rows.stride, columns.stride)
         stacks = loop.constants.stacks(rows.centers.shape[1], precise=False)
@@ -240,8 +234,7 @@ class HalfSteps(ResidentSteps):
             "inverse_rho_target": self._real(inverse_rho[1] * units[0]),
         }  # fmt: skip
 
-    def _begin(self, iteration: DeviceIteration, g: Float64) -> dict[str, Float64]:
-        assert isinstance(iteration, BatchIteration)
+    def _begin(self, iteration: BatchIteration, g: Float64) -> dict[str, Float64]:
         everyone = np.arange(len(iteration.batches[0].counts))
         if len(iteration.table) < len(everyone):
             self._keep(iteration, everyone)
@@ -253,9 +246,8 @@ class HalfSteps(ResidentSteps):
         return unsort(side, values)
 
     def _tell(
-        self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any
+        self, iteration: BatchIteration, bound: BoundKernels, control: Any, radius: Any
     ) -> list[cl.Event]:
-        assert isinstance(iteration, BatchIteration)
         if not iteration.listed:
             return super()._tell(iteration, bound, control, radius)
         table, radii = iteration.table, self._packed(np.asarray(radius, float))
@@ -264,7 +256,7 @@ class HalfSteps(ResidentSteps):
         buffer = iteration.arguments["problems"]
         return [cl.enqueue_copy(self._work.queue, buffer, table, is_blocking=False)]
 
-    def _launches(self, iteration: DeviceIteration, prepare: bool) -> Iterator[Launch]:
+    def _launches(self, iteration: BatchIteration, prepare: bool) -> Iterator[Launch]:
         items, (rows, columns) = self._loop.constants.step_group, iteration.sides
         problems = iteration.numbers.size // len(NUMBERS)
         group, whole = (items,), (items * problems,)
@@ -279,14 +271,12 @@ class HalfSteps(ResidentSteps):
             yield softmin, *size
             yield step, whole, group
 
-    def _softmin_kernel(self, iteration: DeviceIteration) -> cl.Kernel:
-        assert isinstance(iteration, BatchIteration)
+    def _softmin_kernel(self, iteration: BatchIteration) -> cl.Kernel:
         return self._loop.kernel(
             "log_sum_exp.cl", "log_sum_exp", iteration.sides[0], iteration.precise, iteration.listed
         )
 
-    def _kernels(self, iteration: DeviceIteration) -> BoundKernels:
-        assert isinstance(iteration, BatchIteration)
+    def _kernels(self, iteration: BatchIteration) -> BoundKernels:
         precise, listed = iteration.precise, iteration.listed
         dimension = min(iteration.sides[0].centers.shape[1], SLICED_FROM)
         programs, key = self._loop.programs, (dimension, precise, listed)
@@ -301,7 +291,7 @@ class HalfSteps(ResidentSteps):
             )
         return self._bound[key]
 
-    def _scalars(self, iteration: DeviceIteration) -> dict[str, Any]:
+    def _scalars(self, iteration: BatchIteration) -> dict[str, Any]:
         high, low = split(np.asarray(LOG2_E / iteration.epsilon))
         planes = np.uint32(1 + iteration.precise)
         return super()._scalars(iteration) | {"k_high": high, "k_low": low, "planes": planes}

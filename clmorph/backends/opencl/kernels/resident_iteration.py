@@ -6,7 +6,7 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import pyopencl as cl
@@ -27,15 +27,6 @@ from clmorph.backends.records import (
 )
 
 
-@dataclass(frozen=True)
-class Slots:
-    """The names of what stands in the buffers of an iteration, in their order."""
-
-    rows: tuple[str, ...]
-    columns: tuple[str, ...]
-    numbers: tuple[str, ...]
-
-
 @dataclass(eq=False)
 class DeviceIteration:
     """An iteration on the device, as `clmorph.backends.records.ResidentIteration` has it.
@@ -45,7 +36,7 @@ class DeviceIteration:
     host's potential. With a line of `numbers` for each of many problems it is theirs.
     """
 
-    steps: "ResidentSteps"
+    steps: "ResidentSteps[Any]"
     sides: tuple[Any, Any]
     arguments: dict[str, Any]
     numbers: Float64
@@ -92,9 +83,7 @@ class BoundKernels:
         self._epsilon, self._version = 0.0, 0
         self._scalars: dict[str, bytes] = {}
 
-    def bind(
-        self, iteration: DeviceIteration, scalars: Callable[[DeviceIteration], dict[str, Any]]
-    ) -> None:
+    def bind(self, iteration: DeviceIteration, scalars: Callable[[Any], dict[str, Any]]) -> None:
         """Set what stays the same in an iteration, and the scalars that follow from its epsilon."""
         bound = None if self._iteration is None else self._iteration()
         if bound is not iteration or self._version != iteration.version:
@@ -141,17 +130,18 @@ def _power_near(size: float) -> float:
 
 #: A kernel's name, and its global and local size.
 Launch = tuple[str, tuple[int, ...], tuple[int, ...] | None]
+T = TypeVar("T", bound=DeviceIteration)
 
 
-class ResidentSteps(ABC):
+class ResidentSteps(ABC, Generic[T]):
     """Iterations on the device.
 
     take_turns: makes methods run one at a time on a device, see `OpenCLOperations`.
     """
 
-    #: The variant of the kernels of the iteration, and what stands in their buffers.
+    #: The variant of the kernels of the iteration, and the module of what stands in their buffers.
     variant: Variant
-    slots: Slots
+    slots: Any
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         self._work, self._programs, self._constants = loop.work, loop.programs, loop.constants
@@ -175,25 +165,25 @@ class ResidentSteps(ABC):
         return self._is_possible
 
     @abstractmethod
-    def _kernels(self, iteration: DeviceIteration) -> BoundKernels:
+    def _kernels(self, iteration: T) -> BoundKernels:
         """Return the kernels of an iteration."""
 
     @abstractmethod
-    def _launches(self, iteration: DeviceIteration, prepare: bool) -> Iterator[Launch]:
+    def _launches(self, iteration: T, prepare: bool) -> Iterator[Launch]:
         """Return the launches of an iteration; with `prepare` the first softmin is prepared."""
 
     @abstractmethod
-    def _begin(self, iteration: DeviceIteration, g: Float64) -> dict[str, Float64]:
+    def _begin(self, iteration: T, g: Float64) -> dict[str, Float64]:
         """Return what a new potential g leaves in buffers, by their names."""
 
     @abstractmethod
     def _in_order(self, side: Any, values: Float64) -> Float64:
         """Return values of a side in the caller's order."""
 
-    def _keep(self, iteration: DeviceIteration, problems: NDArray[np.intp]) -> None:  # noqa: B027
+    def _keep(self, iteration: T, problems: NDArray[np.intp]) -> None:
         """Go on with some of many problems."""
 
-    def _scalars(self, iteration: DeviceIteration) -> dict[str, Any]:
+    def _scalars(self, iteration: T) -> dict[str, Any]:
         """Return the arguments that follow from epsilon."""
         epsilon = iteration.epsilon / iteration.units[0]
         return {"k": self._real(LOG2_E / epsilon), "epsilon": self._real(epsilon)}
@@ -217,13 +207,13 @@ class ResidentSteps(ABC):
         packed = self._packed(np.asarray(values, float))
         return self._work.buffer(packed, packed.dtype)
 
-    def _read(self, iteration: DeviceIteration, values: Float64) -> Float64:
+    def _read(self, iteration: T, values: Float64) -> Float64:
         """Return potentials, in the caller's units, from what was read."""
         return of_pairs(values) * iteration.units[0] if self._in_pairs else values
 
-    def _found(self, iteration: DeviceIteration) -> IterationNumbers:
+    def _found(self, iteration: T) -> IterationNumbers:
         """Return the numbers that were read, in the caller's units."""
-        names, numbers = self.slots.numbers, iteration.numbers
+        names, numbers = self.slots.NUMBERS, iteration.numbers
         if self._in_pairs:
             numbers[...] = of_pairs(numbers)
             cost, mass = iteration.units
@@ -238,24 +228,20 @@ class ResidentSteps(ABC):
             (found["ROW_FINITE"] == 0) & (found["COLUMN_FINITE"] == 0), found.get("MOVED", 0.0),
         )  # fmt: skip
 
-    def _tell(
-        self, iteration: DeviceIteration, bound: BoundKernels, control: Any, radius: Any
-    ) -> list[cl.Event]:
+    def _tell(self, iteration: T, bound: BoundKernels, control: Any, radius: Any) -> list[cl.Event]:
         """Tell kernels of the next iteration, and return what they have to wait for."""
         bound.set("control", np.uint32(control))
         bound.set("radius", self._real(radius))
         return []
 
-    def _set_potential(
-        self, iteration: DeviceIteration, g: Float64, epsilon: float, precise: bool
-    ) -> None:
+    def _set_potential(self, iteration: T, g: Float64, epsilon: float, precise: bool) -> None:
         """Write the potential at which the next iteration begins; see `ResidentIteration`."""
         iteration.epsilon, iteration.precise, iteration.prepared = epsilon, precise, -1
         for name, content in self._begin(iteration, np.asarray(g, float)).items():
             buffer = iteration.arguments[name]
             cl.enqueue_copy(self._work.queue, buffer, content, is_blocking=True)
 
-    def _iterate(self, iteration: DeviceIteration, control: Any, radius: Any) -> IterationNumbers:
+    def _iterate(self, iteration: T, control: Any, radius: Any) -> IterationNumbers:
         """Enqueue one iteration, wait for it, and return its numbers."""
         check_cancelled()
         queue, bound = self._work.queue, self._kernels(iteration)
@@ -290,13 +276,13 @@ class ResidentSteps(ABC):
         iteration.prepared = next_source(control, found.extrapolated)
         return found
 
-    def _potentials(self, iteration: DeviceIteration) -> tuple[Float64, Float64, Float64]:
+    def _potentials(self, iteration: T) -> tuple[Float64, Float64, Float64]:
         """Return f, both images of g, (2, M), and T(f) after the last iteration."""
         slots, (rows, columns), found, events = self.slots, iteration.sides, [], []
         places = (
-            (rows, "rows", slots.rows.index("SHIFTED"), 1),
-            (columns, "columns", slots.columns.index("IMAGE_0"), 2),
-            (columns, "columns", slots.columns.index("SOFTMIN"), 1),
+            (rows, "rows", slots.ROW_SLOTS.index("SHIFTED"), 1),
+            (columns, "columns", slots.COLUMN_SLOTS.index("IMAGE_0"), 2),
+            (columns, "columns", slots.COLUMN_SLOTS.index("SOFTMIN"), 1),
         )
         try:
             for side, name, slot, count in places:

@@ -9,6 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import MEMORY
+from clmorph.backends.opencl.build import sparse_half_step_slots
 from clmorph.backends.opencl.build.sparse_half_step_slots import (
     COLUMN_SLOTS,
     GIVEN,
@@ -24,7 +25,6 @@ from clmorph.backends.opencl.kernels.resident_iteration import (
     DeviceIteration,
     Launch,
     ResidentSteps,
-    Slots,
 )
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.opencl.kernels.sliced_ellpack import Side
@@ -75,13 +75,13 @@ class StoredIteration(DeviceIteration):
     row_middle: float
 
 
-class StoredSteps(ResidentSteps):
+class StoredSteps(ResidentSteps[StoredIteration]):
     """Iterations over stored pairs.
 
     most_groups: largest number of work-groups of a loop over vectors.
     """
 
-    variant, slots = Variant("sparse_half_steps.cl"), Slots(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
+    variant, slots = Variant("sparse_half_steps.cl"), sparse_half_step_slots
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         super().__init__(loop, take_turns)
@@ -101,7 +101,7 @@ class StoredSteps(ResidentSteps):
         if not self.is_possible():
             return None
         pairs: tuple[Side, Side] = stored.pairs
-        self._own_kernels()
+        self._kernels()
         buffers = self._buffers(pairs) if over is None else over.arguments
         if buffers is None:
             return None
@@ -176,8 +176,7 @@ class StoredSteps(ResidentSteps):
         """Return the number of work-groups of the loops over vectors of a length."""
         return min(self.most_groups, -(-stride // (self._constants.group * self._constants.lanes)))
 
-    def _begin(self, iteration: DeviceIteration, g: Float64) -> dict[str, Float64]:
-        assert isinstance(iteration, StoredIteration)
+    def _begin(self, iteration: StoredIteration, g: Float64) -> dict[str, Float64]:
         k = LOG2_E / iteration.epsilon
         changes = (g - iteration.origin)[iteration.counted] * k
         np.clip(changes, -LARGEST_CHANGE, LARGEST_CHANGE, out=changes)
@@ -191,9 +190,8 @@ class StoredSteps(ResidentSteps):
     def _in_order(self, side: Any, values: Float64) -> Float64:
         return values
 
-    def _launches(self, iteration: DeviceIteration, prepare: bool) -> Iterator[Launch]:
-        assert isinstance(iteration, StoredIteration)
-        own, sums = iteration.arguments, self._own_kernels().kernels["sum_stored"]
+    def _launches(self, iteration: StoredIteration, prepare: bool) -> Iterator[Launch]:
+        own, sums = iteration.arguments, self._kernels().kernels["sum_stored"]
         group, width = self._constants.group, self._constants.width
         size = (int(own["groups"]) * group,)
         if prepare:
@@ -208,11 +206,7 @@ class StoredSteps(ResidentSteps):
                 yield name, size, (group,)
         yield END, (group,), (group,)
 
-    def _kernels(self, iteration: DeviceIteration) -> BoundKernels:
-        return self._own_kernels()
-
-    def _own_kernels(self) -> BoundKernels:
-        """Return kernels whose arguments nothing else sets."""
+    def _kernels(self, iteration: StoredIteration | None = None) -> BoundKernels:
         if self._bound is None:
             kernels = self._programs.kernels(self.variant)
             sums = self._programs.kernels(Variant("sliced_ellpack.cl"))
