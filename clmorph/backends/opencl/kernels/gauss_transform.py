@@ -12,7 +12,7 @@ from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import launches, loop_limits
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
-from clmorph.backends.opencl.kernels.particles import SortedSplats
+from clmorph.backends.opencl.kernels.particles import WHOLE_GROUPS, SortedSplats
 
 #: The number of cells along a side of a bin, so that the moments of a bin fit into a core's nearest
 #: cache.
@@ -227,6 +227,8 @@ class Moments:
         budget = self._budgets[name]
         items = -(-width // self._span)
         group = None if self._span == 1 else (1, 1)
+        if group is None:  # a driver chooses it; the kernels leave out what is beyond the width
+            items = WHOLE_GROUPS * -(-items // WHOLE_GROUPS)
         while first < end:
             rows = int(np.clip(budget.pairs() // (width * cost), 1, end - first))
             with budget.measure(rows * width * cost):
