@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+import clmorph
+from clmorph.backends import records
+from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.kernels import row_loop
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 
@@ -42,3 +45,26 @@ def test_few_levels_are_the_hosts(device, rng, monkeypatch):
     if not device.has_float64:
         monkeypatch.setattr(device.row_loop, "device_levels", 0)
         device.softmin(cloud, cloud, np.zeros(300), 0.1)
+
+
+def test_levels_are_the_hosts_where_their_program_cannot_be_built(device, rng, monkeypatch):
+    """This is told once, and costs nothing else."""
+    if not device.has_float64:
+        pytest.skip("its levels are the host's")
+    cloud, zeros = device.upload(rng.random((300, 3)), np.full(300, 1 / 300)), np.zeros(300)
+    wanted = device.softmin(cloud, cloud, zeros, 0.1)
+    build = program.build
+
+    def refuse(context, name, *more):
+        if name == "tile_levels.cl":
+            raise records.ProgramError("refused")
+        return build(context, name, *more)
+
+    monkeypatch.setattr(program, "build", refuse)
+    monkeypatch.setattr(records, "_told", set())
+    monkeypatch.setattr(device.row_loop, "_kernels", {})
+    monkeypatch.setattr(device.row_loop, "device_levels", 0)
+    with pytest.warns(clmorph.ClmorphWarning, match="on the host.*: refused") as told:
+        found = [device.softmin(cloud, cloud, zeros, 0.1) for _ in range(2)]
+    assert len(told) == 1
+    assert all(np.array_equal(each, wanted) for each in found)

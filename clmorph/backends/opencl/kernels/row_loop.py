@@ -14,7 +14,7 @@ from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Results, Workspace
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
-from clmorph.backends.records import Float64
+from clmorph.backends.records import Float64, ProgramError
 
 #: The factor that converts natural logarithms to base 2.
 LOG2_E = float(np.log2(np.e))
@@ -138,23 +138,32 @@ class RowLoop:
 
         Their row levels are known once all rows were launched.
         """
-        suits = Variant("tile_levels.cl").suits(self.constants)
-        if not suits or len(rows.centers) * len(columns.centers) < self.device_levels:
+        many = len(rows.centers) * len(columns.centers) >= self.device_levels
+        if not many or not self._forms_levels():
             return self.exponents(rows, columns, potential, epsilon, precise=precise)
         found = self.listed_exponents(rows, columns, potential, epsilon, precise)
         return found._replace(tile_max_buffer=self.work.buffer(found.tile_max, np.float64))
+
+    def _forms_levels(self) -> bool:
+        """Return whether the device has the kernel that forms levels; build it if not yet."""
+        variant = Variant("tile_levels.cl")
+        if variant not in self._kernels and variant.suits(self.constants):
+            try:
+                self._kernels[variant] = self.programs.kernels(variant)
+            except ProgramError as error:
+                error.tell("levels between tiles are formed on the host, which is slower")
+                self._kernels[variant] = {}
+        return bool(self._kernels.get(variant))
 
     def _levels_on_device(
         self, rows: Cloud, columns: Cloud, exponents: Exponents, part: range, precise: bool
     ) -> cl.MemoryObject:
         """Form the levels of some row tiles on the device, and read the row levels."""
         n, n_columns, planes = len(part), len(columns.centers), 2 if precise else 1
-        kernels = self._kernels.setdefault(Variant("tile_levels.cl"), {})
-        kernels = kernels or self.programs.kernels(Variant("tile_levels.cl"))
-        self._kernels[Variant("tile_levels.cl")] = kernels
         levels, row_level = self.work.empty(4 * planes * n * n_columns), self.work.empty(8 * n)
         self.work.launch(
-            kernels["tile_levels"], (n * self.constants.group,), (self.constants.group,),
+            self._kernels[Variant("tile_levels.cl")]["tile_levels"],
+            (n * self.constants.group,), (self.constants.group,),
             *map(np.uint32, (part.start, n_columns, rows.centers.shape[1], planes)),
             np.float64(exponents.k), rows.centers_buffer, columns.centers_buffer,
             exponents.tile_max_buffer, row_level, levels,
