@@ -43,7 +43,7 @@ def foreground(colors: Array, alpha: Array | None = None) -> BoolArray:
     to which its color or its opacity is nearer; pixel art has no such edges. If there is no
     background, or nothing before it, all pixels belong to the foreground.
     """
-    from scipy.ndimage import maximum_filter, minimum_filter
+    from scipy.ndimage import binary_propagation, maximum_filter, minimum_filter
 
     color = background_color(colors) if alpha is None else None
     if alpha is not None:
@@ -63,6 +63,8 @@ def foreground(colors: Array, alpha: Array | None = None) -> BoolArray:
             mixed = lesser & ~near & (minimum_filter(contrast, WINDOW) < WEAK)
             mixed[mixed] = shares_in_mixtures(colors, color, mixed) < 0.5
             lesser &= near | mixed
+            # What an outline parts from the background is no mixture with it.
+            lesser = binary_propagation(~found, mask=~found | lesser) & lesser
         found &= ~lesser
         if alpha is None:
             found &= ~_noise(found, contrast)

@@ -39,7 +39,8 @@ def test_ends_are_the_pictures_to_the_bit(device, pair):
 
 
 @pytest.mark.parametrize(
-    ("name", "side"), [("cat", 96), pytest.param("face", 128, marks=pytest.mark.full)]
+    ("name", "side"),
+    [("cat", 96), ("face", 96), pytest.param("face", 128, marks=pytest.mark.full)],
 )
 def test_a_deformation_is_warped(name, side, device):
     image = photo(name, side)

@@ -5,6 +5,7 @@ import pytest
 from drawn_pictures import SPRITES, compressed, logo, sprite
 from picture_pairs import CUTS, DRAWINGS, picture
 from skimage import data
+from skimage.transform import resize
 
 from clmorph.images.flat_colors import background_color, foreground, palette
 from clmorph.images.kind import kind_of
@@ -166,6 +167,15 @@ class TestForeground:
         image[10:30, 10:30] = np.linspace(0.1, 0.4, 20)[:, None, None]
         image[50, 5:60] = 0.92
         assert foreground(image)[50, 5:60].all()
+
+
+@pytest.mark.parametrize("side", [64, 80, 96, 128, 200])
+def test_what_an_outline_parts_from_the_ground_is_no_edge(side):
+    """The skin beside a thin dark outline, and beside the white of an eye."""
+    image = resize(picture("face"), (side, side), anti_aliasing=True)
+    skin = np.abs(image - image[side // 2, side // 2]).max(axis=2) < 0.02
+    assert skin.mean() > 0.2
+    assert foreground(image)[skin].all()
 
 
 class TestRegions:
