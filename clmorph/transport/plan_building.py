@@ -42,9 +42,8 @@ def transport_plan(
     threshold are skipped. If the potentials come with a truncation, row masses and largest pairs
     are computed with it too.
 
-    By default frames of the kept pairs differ by about 0.01/255 from those of all pairs, as was
-    measured. A dropped pair could decide a pixel only where the kernels of all others are nearly
-    zero, and wider kernels fill such pixels (see `clmorph.frames.render.render`).
+    A dropped pair could decide a pixel only where the kernels of all others are nearly zero, and
+    wider kernels fill such pixels (see `clmorph.frames.render.render`).
 
     Parameters
     ----------
