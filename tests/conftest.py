@@ -1,7 +1,8 @@
 """Which devices and how much is tested; fixtures that many tests share.
 
-``pytest`` tests the operations on every usable device, in the build that is chosen for it, and what
-is written over them on one device or another, with a share of each grid of parameters.
+``pytest`` tests the operations on the first usable device, in the build that is chosen for it, with
+a share of each grid of parameters, and a third of it on the others; and a part of what is written
+over them, on one device or another.
 ``pytest --full`` runs whole grids, and tests operations also in the build of the other kind of
 device. On a device that repeats another one it tests operations alone, with a share of each grid.
 ``--device NAME`` tests one device. Beside other devices a slow one runs some of the tests of
@@ -44,8 +45,8 @@ NO_DEVICE = "needs a usable OpenCL device, and there is none (clmorph devices sa
 OF_DEVICES = ("variant", "device", "each_device", "any_backend")
 #: What is written over operations, or marked so, is tested on one device after the other.
 IN_TURNS = ("device", "any_backend")
-#: A slow device runs one of so many tests of a grid's share.
-SLOW_STEP = 3
+#: One of so many tests of a grid's share is run by devices but the first one, and in turns.
+STEP = 3
 #: Modules that take longest with --full, the longest first. Processes that share the tests take a
 #: module at a time and in this order, so that none starts on a long one when the others are done.
 LONGEST = (
@@ -169,9 +170,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Without --full, leave out long tests and most of each grid of parameters.
 
     Of a grid so many combinations are left as its longest axis has values, and each value of every
-    axis is among them. With --full all combinations are left, and each combination of a test in
-    turns is for one device. A device that repeats another one then tests operations, with a share
-    of each grid.
+    axis is among them; of tests in turns, and on devices but the first one, every third of these.
+    With --full all combinations are left, and each combination of a test in turns is for one
+    device. A device that repeats another one then tests operations, with a share of each grid.
     """
     if not TESTED:
         for item in items:
@@ -282,14 +283,15 @@ def _one_device_each(items: list[pytest.Item]) -> list[pytest.Item]:
 def _share(items: list[pytest.Item]) -> list[pytest.Item]:
     """Return those items of one test function that stand for its grid of parameters.
 
-    What tests single operations does so on every device; of tests of whole solves and morphs,
-    which are written over these, each goes to one device after the other. A slow device runs some.
+    What tests single operations does so on the first device, and a part of it on the others; of
+    whole solves and morphs, which are written over these, a part goes to one device or another.
     """
     callspecs = [getattr(item, "callspec", None) for item in items]
     devices, *axes = _axes(callspecs)
     longest = max(axes, key=max, default=[0] * len(items))
     shorter = [axis for axis in axes if axis is not longest]
-    everywhere = not _is_in_turns(items[0]) and (
+    in_turns = _is_in_turns(items[0])
+    everywhere = not in_turns and (
         items[0].get_closest_marker("small") is not None
         or "variant" in getattr(callspecs[0], "params", {})
     )
@@ -297,10 +299,14 @@ def _share(items: list[pytest.Item]) -> list[pytest.Item]:
     chosen = []
     for number, item in enumerate(items):
         place, device = longest[number], devices[number]
+        if in_turns:
+            if place % STEP != turn % min(STEP, max(longest) + 1):
+                continue
+            place //= STEP
         if not everywhere and device != (place + turn) % n_devices:
             continue
-        slow = _is_slow(_device_of(items[number])) and not items[number].get_closest_marker("small")
-        if slow and place % SLOW_STEP != turn % min(SLOW_STEP, max(longest) + 1):
+        small = item.get_closest_marker("small") is not None
+        if everywhere and device > 0 and not small and (place + device + turn) % STEP:
             continue
         shift = device if everywhere else 0
         if all(axis[number] == (place + shift) % (max(axis) + 1) for axis in shorter):

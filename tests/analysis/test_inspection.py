@@ -354,7 +354,7 @@ class TestMemory:
     @pytest.mark.parametrize(
         ("side", "blur", "way", "channels", "detail"),
         [
-            (64, 0.03, {}, 3, "particles"),
+            pytest.param(64, 0.03, {}, 3, "particles", marks=pytest.mark.full),
             (64, 0.03, {}, 3, "layers"),
             pytest.param(64, 0.015, {}, 3, "particles", marks=pytest.mark.full),
             pytest.param(96, 0.012, {}, 3, "particles", marks=pytest.mark.full),

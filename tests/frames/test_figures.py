@@ -100,6 +100,7 @@ class TestLogos:
         inside = binary_erosion(darkest < 0.9, iterations=2)
         assert np.ptp(frame[inside], axis=0).max() < 0.06
 
+    @pytest.mark.full
     def test_what_continues_a_figure_hides_no_other_one(self, device):
         """The dark rim of a face does not spread over the meadow that grows below it."""
         y, x = np.mgrid[:96, :96] / 96 - 0.5
@@ -146,6 +147,7 @@ class TestLogos:
         ]
         assert sum(parts) < 24  # means of both lines fall into 31
 
+    @pytest.mark.full
     def test_thick_strokes_keep_smooth_outlines(self, device):
         """Where strokes do not meet, the mean of their distances has no tears."""
         pair = []
@@ -162,6 +164,7 @@ class TestLogos:
             assert label(ink)[1] <= 3
         assert max(rims[1:-1]) < 1.02 * max(rims[0], rims[-1])  # 1.06 times as long with tears
 
+    @pytest.mark.full
     def test_rounding_does_not_change_a_film(self, device, rng):
         """What a picture does not tell is not told by its last bits."""
         pair = []

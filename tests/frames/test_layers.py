@@ -40,7 +40,7 @@ def test_ends_are_the_pictures_to_the_bit(device, pair):
 
 @pytest.mark.parametrize(
     ("name", "side"),
-    [("cat", 96), ("face", 96), pytest.param("face", 128, marks=pytest.mark.full)],
+    [("cat", 48), ("face", 64), pytest.param("face", 128, marks=pytest.mark.full)],
 )
 def test_a_deformation_is_warped(name, side, device):
     image = photo(name, side)
