@@ -122,7 +122,7 @@ __kernel void follow_paths(
     const uint steps, const uint rounds,
     const __global float* restrict rows,          // (2, shape.x): places on the field
     const __global float* restrict columns,       // (2, shape.y)
-    const __global float2* restrict field,        // (grid height, grid width)
+    const __global float4* restrict field,        // (grid height, grid width), and how steep it is
     __global float2* restrict paths)              // (steps + 1, shape.x, shape.y)
 {
     const uint column = get_global_id(0);
@@ -141,11 +141,11 @@ __kernel void follow_paths(
             float down, across;
             const int2 i = between(whole.x, place.x, grid.x, &down);
             const int2 j = between(whole.y, place.y, grid.y, &across);
-            const __global float2* above = field + (size_t)i.x * grid.y;
-            const __global float2* below = field + (size_t)i.y * grid.y;
-            const float2 v = mix(
+            const __global float4* above = field + (size_t)i.x * grid.y;
+            const __global float4* below = field + (size_t)i.y * grid.y;
+            const float4 v = mix(
                 mix(above[j.x], above[j.y], across), mix(below[j.x], below[j.y], across), down);
-            moved = 0.5f * (moved - t * v);
+            moved -= (moved + t * v.xy) / (1.0f + t * v.z);
         }
         paths[step * points + point] = moved;
     }

@@ -382,10 +382,12 @@ class Operations(Protocol):
         At time t a point that stands at z on the field's grid shows what was at x = z - t v(x).
         From x = z at t = 0, each of `steps` to the next time takes `rounds` of
 
-            x <- (x + z - t v(x)) / 2;
+            x <- x - (x + t v(x) - z) / (1 + t s(x)),
 
-        so a point stays with its branch where the motion folds. The field v, (h, w, 2), is in
-        points of its grid (row, column), linear in between and constant outside. `to_field` leads
+        where s is at least the norm of the slope of v (`with_steepness`), so that rounds converge
+        wherever the motion does not fold, and a point stays with its branch until it ends. The
+        field v, (h, w, 2), is in points of its grid (row, column), linear in between and constant
+        outside, and so is s. `to_field` leads
         from points of the other grid, of `shape` (H, W), to points of the field. The result, (steps
         + 1, H, W, 2), is x - z at the times 0, 1 / steps, ..., 1.
         """

@@ -102,7 +102,12 @@ class Layers:
                 change = np.linalg.norm(half.change, axis=2)
                 self.agreement = self.agreement * np.exp(-((change / EQUAL) ** 2))
         self.times = switching_times(
-            [half.colors for half in halves], lightness, self.stage, operations, shared=shared
+            [half.colors for half in halves],
+            lightness,
+            self.stage,
+            operations,
+            shared=shared,
+            thin=self.thin,
         )
         self._paths = [follow(field, self.stage, operations) for field in self.fields]
         self._upload()

@@ -30,6 +30,8 @@ DETAIL, REGION, DISORDER, STRENGTH = 0.01, 1 / 24, 0.1, 0.7
 NOISE_POINTS = 40
 #: Rounds of the mean over like neighbors, and the factor of its tolerance: it compares two colors.
 ROUNDS, BOTH = 3, np.sqrt(2.0)
+#: Width, likewise, over which the order of thin lines is smoothed.
+THIN_WIDTH = 0.04
 #: What a change of color, and a place without any detail, weigh relative to the mean detail.
 CHANGING, PLAIN = 0.3, 0.2
 #: What a place that only one picture shows weighs beside one that both show.
@@ -43,6 +45,7 @@ def switching_times(
     operations: Operations,
     seed: int = 0,
     shared: Array | None = None,
+    thin: Array | None = None,
 ) -> Array:
     """Return the time, from 0 to 1, at which each place changes hands: (H, W) array.
 
@@ -72,7 +75,10 @@ def switching_times(
         found.astype(np.float32), known, guide, fine.astype(np.float32), SIGMA_FINE,
         BOTH * LIKE,
     )  # fmt: skip
+    plain = blurred(order, THIN_WIDTH * longest)
     order = blurred(found[..., 0], longest / 256)
+    if thin is not None:
+        order += thin * (plain - order)
     # Time passes with the detail that changes hands, and less with plain places.
     detail = sum(_steepness(half @ lightness, DETAIL * longest) for half in halves)
     weight = detail / max(float(np.mean(detail)), 1e-9)

@@ -91,7 +91,7 @@ FAULTS = [
     Fault("splat.cl", "splat", "ky[y] * kx;", "0.999f * ky[y] * kx;", "splat"),
     Fault("layers.cl", "edge_preserving_mean", "total += weight;", "total += 0.99f * weight;",
           "edge_preserving_mean"),
-    Fault("layers.cl", "follow_paths", "0.5f * (moved", "0.49f * (moved", "follow_paths"),
+    Fault("layers.cl", "follow_paths", "(1.0f + t *", "(1.02f + t *", "follow_paths"),
     Fault("layers.cl", "place_layer", "weights[point]", "0.99f * weights[point]", "draw_layers"),
     Fault("layers.cl", "draw_layers", "way.y : way.x", "way.x : way.y", "draw_layers"),
     Fault("nearest_seeds.cl", "nearest_seeds", "number *= WAYS;", "number = WAYS * number + 1;",

@@ -65,12 +65,26 @@ def follow_paths(
     """Follow places backwards along a field; see `clmorph.backends.interface.Operations`."""
     start = to_field.places(shape)
     place = start
+    steeper = with_steepness(field)
     found = np.zeros((steps + 1, *shape, 2), np.float32)
     for step in range(1, steps + 1):
         for _ in range(rounds):
-            place = 0.5 * (place + start - step / steps * linear(field, place))
+            move, steep = np.split(step / steps * linear(steeper, place), (2,), axis=-1)
+            place = place - (place - start + move) / (1.0 + steep)
         found[step] = place - start
     return found
+
+
+def with_steepness(field: Float32) -> Float32:
+    """Return a field (h, w, 2) with the largest difference to a point next to each: (h, w, 3)."""
+    steep = np.zeros(field.shape[:2])
+    for axis in (0, 1):
+        apart = np.linalg.norm(np.diff(field.astype(float), axis=axis), axis=2)
+        for before, after in ((1, 0), (0, 1)):
+            pad = [(0, 0), (0, 0)]
+            pad[axis] = (before, after)
+            steep = np.maximum(steep, np.pad(apart, pad))
+    return np.dstack((field, np.sqrt(2.0) * steep)).astype(np.float32)
 
 
 def linear(image: Float32, places: Float64) -> Float64:

@@ -7,7 +7,12 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.numpy.layers import LEAST_WEIGHT, mean_radius, nearest_cells
+from clmorph.backends.numpy.layers import (
+    LEAST_WEIGHT,
+    mean_radius,
+    nearest_cells,
+    with_steepness,
+)
 from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.variants import Variant
@@ -107,7 +112,9 @@ class Layers:
         """Follow places backwards along a field; see `clmorph.backends.interface.Operations`."""
         make = cl.cltypes
         places = [self._work.buffer(_apart(place)) for place in _places(to_field, shape)]
-        on_device = self._work.buffer(field)
+        on_device = self._work.buffer(
+            np.dstack((with_steepness(field), np.zeros(field.shape[:2], np.float32)))
+        )
         found = np.empty((steps + 1, *shape, 2), np.float32)
         buffer = self._work.empty(found.nbytes)
         samples = shape[1] * (steps * rounds + 1)

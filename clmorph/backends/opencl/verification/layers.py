@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
-from clmorph.backends.numpy.layers import mean_radius
+from clmorph.backends.numpy.layers import mean_radius, with_steepness
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.verification.bench import Bench, Findings, check
 from clmorph.backends.opencl.verification.findings import UNIT, Finding, largest
@@ -88,11 +88,13 @@ class PathCase(NamedTuple):
     def rounding(self) -> float:
         """Return the error that paths may have, infinite where the field may fold.
 
-        Each round halves the error before it, and adds half of what the field makes of it: with
-        slopes below 1 it does not grow.
+        With slopes d and a steepness s, each round keeps (s + d) / (1 + s) of the error before it:
+        with d below 1 it does not grow.
         """
         size, slope = largest(self.field), self.slope()
-        return UNIT * (20 * size + 4 * slope * (size + 1)) / (1 - slope) if slope < 1 else np.inf
+        steep = 1 + largest(with_steepness(self.field)[..., 2])
+        each = UNIT * (20 * size + 4 * slope * (size + 1))
+        return each * steep / (1 - slope) if slope < 1 else np.inf
 
 
 def path_cases(shape: Shape) -> dict[str, PathCase]:
