@@ -143,12 +143,14 @@ class Operations(Protocol):
         columns: Any,
         weights: tuple[Float64, Float64],
         inverse_rho: tuple[float, float],
+        corrections: tuple[Float64 | float, Float64 | float] = (0.0, 0.0),
     ) -> ResidentIteration | None:
         """Return an iteration whose vectors stay on the device; None where there is none.
 
         Rows and columns are clouds, or batches of them, whose problems then have one each.
-        `weights` are the masses of both clouds, and `inverse_rho` the inverses of the marginal
-        penalties, 0 if balanced.
+        `weights` are the masses asked for of both clouds, whose softmins keep those of `upload`;
+        `inverse_rho` the inverses of the marginal penalties, 0 if balanced; and `corrections` what
+        is added to T(g), (N,), and to T(f), (M,), in cost units.
         """
 
     def upload_batch(

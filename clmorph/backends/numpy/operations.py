@@ -78,6 +78,7 @@ class NumPyOperations:
         columns: Cloud,
         weights: tuple[Float64, Float64],
         inverse_rho: tuple[float, float],
+        corrections: tuple[Float64 | float, Float64 | float] = (0.0, 0.0),
     ) -> None:
         """Return None: all arithmetic is on the host."""
 

@@ -55,17 +55,12 @@ class CorrectedProblem(Problem):
     def __init__(self, *arguments: Any, **more: Any) -> None:
         super().__init__(*arguments, **more)
         self._own = self.a, self.b
-        self._corrections: tuple[Array | float, Array | float] = (0.0, 0.0)
-
-    def start_iteration(self) -> ResidentIteration | None:
-        """Return None: iterations over all pairs have no corrections on the device."""
-        return None
 
     def softmin(
         self, side: int, old: Array, epsilon: float, precise: bool, bounded: bool = False
     ) -> Array:
         """Return T(g) or T(f), corrected."""
-        return super().softmin(side, old, epsilon, precise, bounded) + self._corrections[side]
+        return super().softmin(side, old, epsilon, precise, bounded) + self.corrections[side]
 
     def correct(self, rows: Array, columns: Array, epsilon: float) -> None:
         """Set the corrections tau of T(g), (N,), and of T(f), (M,)."""
@@ -78,7 +73,7 @@ class CorrectedProblem(Problem):
             total = float((self._own[0] * np.exp(rows / epsilon)).sum())
             total /= float((self._own[1] * np.exp(columns / epsilon)).sum())
             columns = columns + epsilon * np.log(total)
-        self._corrections = rows, columns
+        self.corrections, self._asked = (rows, columns), False
         self.a = self._own[0] * np.exp(rows / epsilon)
         self.b = self._own[1] * np.exp(columns / epsilon)
         self._weigh()
@@ -218,7 +213,7 @@ class StoredProblem(CorrectedProblem):
                 mass, self._plan_mass, inverse, self._epsilon, enough, rounding
             ):
                 return None
-        (to_rows, to_columns), (of_rows, of_columns) = self.softmins, self._corrections
+        (to_rows, to_columns), (of_rows, of_columns) = self.softmins, self.corrections
         self._started = self.operations.start_stored_iteration(
             to_rows.stored,
             (

@@ -44,6 +44,8 @@ class Problem:
     exact_sums = False
     #: Radius of the region where the problem is valid, in units of epsilon.
     trust_radius = np.inf
+    #: What is added to T(g), (N,), and to T(f), (M,).
+    corrections: tuple[Array | float, Array | float] = (0.0, 0.0)
 
     def __init__(
         self,
@@ -202,7 +204,7 @@ class Problem:
             return None
         if self.truncation is None and not self._asked:
             self._resident = self.operations.start_iteration(
-                self.rows, self.columns, (self.a, self.b), self.inverse_rho
+                self.rows, self.columns, (self.a, self.b), self.inverse_rho, self.corrections
             )
             self._asked = True
         return self._resident

@@ -115,6 +115,7 @@ class HalfSteps(ResidentSteps[BatchIteration]):
     def start_iteration(
         self, rows: Cloud | Batch, columns: Cloud | Batch, weights: tuple[Float64, Float64],
         inverse_rho: tuple[float, float],
+        corrections: tuple[Float64 | float, Float64 | float] = (0.0, 0.0),
     ) -> DeviceIteration | None:  # fmt: skip
         """Put the vectors of an iteration on the device, or return None."""
         tile, batches = self._loop.constants.tile, (as_batch(rows), as_batch(columns))
@@ -122,11 +123,14 @@ class HalfSteps(ResidentSteps[BatchIteration]):
         clouds = batches[0].cloud, batches[1].cloud
         if blocks.max() > KEPT_LEVELS or not self._fits(blocks * tile**2 * work_of_pair(clouds[0])):
             return None
-        masses = []
-        for side, own in zip(batches, weights, strict=True):
+        masses, costs = [], []
+        for side, own, added in zip(batches, weights, corrections, strict=True):
             within = runs(np.zeros_like(side.tiles), side.tiles * tile)
             padded = within >= np.repeat(side.counts, side.tiles * tile)
             masses.append(np.where(padded[: len(side.cloud)], 0.0, own[side.cloud.order]))
+            # Costs of rows alone are added to their softmins, and to no logits.
+            shifts = np.broadcast_to(added, own.shape)[side.cloud.order]
+            costs.append(side.cloud.own_costs + shifts)
         low = np.min([cloud.box[0] for cloud in clouds], axis=0)
         high = np.max([cloud.box[1] for cloud in clouds], axis=0)
         offsets = sum(float(np.abs(cloud.offsets).max()) for cloud in clouds)
@@ -134,8 +138,8 @@ class HalfSteps(ResidentSteps[BatchIteration]):
         lists = pairs_of(*batches), pairs_of(*batches[::-1])
         listed = isinstance(rows, Batch)
         arguments = self._given(
-            clouds, (masses[0], masses[1]), inverse_rho, units, len(blocks), int(blocks.sum()),
-            lists if listed else (None, None),
+            clouds, (masses[0], masses[1]), (costs[0], costs[1]), inverse_rho, units,
+            len(blocks), int(blocks.sum()), lists if listed else (None, None),
         )  # fmt: skip
         made = BatchIteration(
             self, clouds, arguments, np.zeros(0), units, batches=batches, lists=lists, listed=listed
@@ -181,6 +185,7 @@ class HalfSteps(ResidentSteps[BatchIteration]):
         self,
         clouds: tuple[Cloud, Cloud],
         masses: tuple[Float64, Float64],
+        own_costs: tuple[Float64, Float64],
         inverse_rho: tuple[float, float],
         units: tuple[float, float],
         count: int,
@@ -191,13 +196,13 @@ class HalfSteps(ResidentSteps[BatchIteration]):
         loop, work, (rows, columns) = self._loop, self._work, clouds
         tiles = len(rows.centers), len(columns.centers)
         sides = []
-        for cloud, own, slots in (
-            (rows, masses[0], len(ROW_SLOTS)),
-            (columns, masses[1], len(COLUMN_SLOTS) - 2 + 2 * MEMORY),
+        for cloud, own, costs, slots in (
+            (rows, masses[0], own_costs[0], len(ROW_SLOTS)),
+            (columns, masses[1], own_costs[1], len(COLUMN_SLOTS) - 2 + 2 * MEMORY),
         ):
             with np.errstate(divide="ignore"):
                 logarithms = np.log(own / units[1])
-            costs, offsets = cloud.own_costs / units[0], cloud.offsets / units[0]
+            costs, offsets = costs / units[0], cloud.offsets / units[0]
             # Points that pad a side have no mass.
             given = (
                 (own / units[1], 0.0), (logarithms, -np.inf), (costs, costs[-1]),

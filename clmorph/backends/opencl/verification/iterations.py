@@ -208,10 +208,17 @@ _Started = tuple[ResidentIteration | None, _Problem, tuple]
 
 def _start(case: Clouds, rho: tuple[float, ...]) -> _Started:
     """Start an iteration over all pairs; None if the host iterates."""
-    masses, none = (case.rows[1], case.columns[1]), tuple(map(np.zeros, case.shape))
-    problem = _Problem(case, masses, none, rho)
-    iteration = case.operations.start_iteration(*case.ours, masses, problem.rates)
+    masses, corrections = _corrected(case, np.random.default_rng(5))
+    problem = _Problem(case, masses, corrections, rho)
+    iteration = case.operations.start_iteration(*case.ours, masses, problem.rates, corrections)
     return iteration, problem, tuple(map(np.arange, case.shape))
+
+
+def _corrected(case: Clouds, rng: np.random.Generator) -> tuple[Pair, Pair]:
+    """Return corrections of both softmins, after the masses that belong to them."""
+    rows, columns = (case.epsilon * rng.uniform(-1, 1, size) for size in case.shape)
+    factors = np.exp(rows / case.epsilon), np.exp(columns / case.epsilon)
+    return (case.rows[1] * factors[0], case.columns[1] * factors[1]), (rows, columns)
 
 
 def start_stored(case: Clouds, rho: tuple[float, ...]) -> _Started:
@@ -223,9 +230,8 @@ def start_stored(case: Clouds, rho: tuple[float, ...]) -> _Started:
     )  # fmt: skip
     assert stored is not None, "the pairs were not stored"
     rng = np.random.default_rng(5)
-    corrections = tuple(epsilon * rng.uniform(-1, 1, size) for size in case.shape)
+    masses, corrections = _corrected(case, rng)
     center = case.softmin + epsilon * rng.uniform(-3, 3, case.shape[0])
-    masses = tuple(m * np.exp(each / epsilon) for m, each in zip(own, corrections, strict=True))
     softmins = case.softmin, case.exact.softmin(*case.theirs[::-1], case.softmin, epsilon)
     vectors = []
     for side, order in enumerate(stored.orders):
