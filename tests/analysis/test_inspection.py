@@ -511,6 +511,7 @@ class TestTime:
 
 
 class TestPicture:
+    @pytest.mark.in_turns
     @pytest.mark.parametrize(
         ("ending", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")]
     )
@@ -661,6 +662,7 @@ class TestWhatAMorphWouldDraw:
         assert all(len(line) > 14 for line in found.lines())
         return result
 
+    @pytest.mark.in_turns
     @pytest.mark.parametrize(
         "options",
         [

@@ -695,6 +695,7 @@ class Lost:
         return call
 
 
+@pytest.mark.in_turns
 @pytest.mark.parametrize("lost", ["scheduler_info", "submit"])
 def test_a_scheduler_that_cannot_be_reached(monkeypatch, lost):
     """Whatever the client raises becomes one line, also while jobs are sent."""

@@ -170,6 +170,7 @@ def test_what_cannot_be_written_is_said_before_anything_is_solved(pictures, monk
         assert words in refused("morph", *arguments.split())
 
 
+@pytest.mark.full
 def test_names_that_cannot_be_printed(pictures):
     done = subprocess.run(
         [COMMAND, "morph", "a.png", "b.jpg", "-o", b"o\xff.gif", "--frames", "3"],
@@ -498,6 +499,7 @@ def test_streams_that_lack_characters(pictures, encoding):
     assert '"ł.png"'.encode() in done.stdout
 
 
+@pytest.mark.full
 def test_nobody_reads_what_is_printed_at_once(pictures):
     """The same whether the pipe closes before or after."""
     read, write = os.pipe()

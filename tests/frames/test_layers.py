@@ -210,6 +210,7 @@ def test_figures_keep_their_colors_beyond_the_ground(device):
     assert np.ptp(ground.mean(axis=1)) < 0.05
 
 
+@pytest.mark.full
 def test_edges_that_lose_contrast_have_no_halos(device):
     """A disc on a light ground goes into a gray picture: no pixel is beyond both colors."""
     y, x = np.indices((384, 384)) / 384 - 0.5

@@ -209,6 +209,7 @@ LENGTHS = [
 ]  # fmt: skip
 
 
+@pytest.mark.in_turns
 @pytest.mark.parametrize("name", ["out.mp4", "out.webm"])
 @pytest.mark.parametrize(("n_images", "n_frames", "pace", "hold"), LENGTHS)
 @pytest.mark.parametrize("loop", ["loop", "ping-pong"])
@@ -554,6 +555,7 @@ def test_reverse_and_chains(tmp_path, growing):
     assert stills(tmp_path / "tour.apng")[1] == [1050, 50, 50, 1050, 50, 50, 1050]
 
 
+@pytest.mark.in_turns
 @pytest.mark.parametrize("name", [name for name in FORMATS if name != "html"])
 def test_every_format_tells_what_made_it(tmp_path, growing, name):
     path = place(tmp_path, name)
@@ -580,6 +582,7 @@ def written_before(tmp_path_factory, growing):
     return found
 
 
+@pytest.mark.in_turns
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_the_same_film_gives_the_same_bytes(tmp_path, growing, written_before, name):
     path = place(tmp_path, name)
@@ -708,6 +711,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, na
     assert folder or path.read_text() == "before"
 
 
+@pytest.mark.in_turns
 @pytest.mark.parametrize(
     "name", ["out.gif", "out.apng", "out.webp", "out.tif", "out.npz", "out.html", "frames"]
 )
@@ -787,6 +791,7 @@ def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
     assert float(told) < held * one * (many - some) + 4 * one
 
 
+@pytest.mark.in_turns
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_progress_is_that_of_the_writing(tmp_path, growing, monkeypatch, name):
     """Once for each frame, when it has been read and before the next is, up to the whole."""

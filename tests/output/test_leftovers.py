@@ -396,6 +396,7 @@ def test_a_disk_that_cannot_flush_is_good_enough_and_one_that_fails_is_not(monke
     assert names() == ["22.txt"]
 
 
+@pytest.mark.in_turns
 @posix
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_a_full_disk_leaves_nothing(name, monkeypatch, capfd):
@@ -468,6 +469,7 @@ def test_frames_that_wait_beside_a_folder_are_not_in_it(at, monkeypatch, capfd):
     assert names(at) == ["frame-0000.png", "frame-0001.png"]
 
 
+@pytest.mark.in_turns
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_no_file_is_moved_or_removed_while_it_is_open(name, monkeypatch, capfd):
     """Windows refuses that. Frames wait on the disk, and files replace old ones."""

@@ -62,6 +62,7 @@ def test_they_look_as_if_pixels_were_lifted(monkeypatch):
         assert steps[0] == pytest.approx(steps[1], rel=0.03)
 
 
+@pytest.mark.in_turns
 @pytest.mark.parametrize(
     "given",
     [

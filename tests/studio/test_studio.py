@@ -69,6 +69,7 @@ def test_from_two_pictures_to_the_same_file_as_the_command(opened, pictures, pla
     assert [image["file"] for image in recipe["images"]] == [path.name for path in pictures]
 
 
+@pytest.mark.full
 def test_mistakes_are_the_lines_of_the_terminal(opened, pictures, place):
     page = opened()
     bad, huge = place / "bad.png", place / "huge.png"
@@ -247,6 +248,7 @@ def test_another_host_needs_the_token(tmp_path):
         assert asked(port, "GET", "/", given, host=f"evil.example:{port}")[0] == 403
 
 
+@pytest.mark.full
 def test_nothing_is_left_at_the_end(tmp_path, pictures):
     tmp = tmp_path / "tmp"
     with served(tmp) as (process, port):
