@@ -387,11 +387,11 @@ class Operations(Protocol):
             x <- x - (x + t v(x) - z) / (1 + t s(x)),
 
         where s is at least the norm of the slope of v (`with_steepness`), so that rounds converge
-        wherever the motion does not fold, and a point stays with its branch until it ends. The
-        field v, (h, w, 2), is in points of its grid (row, column), linear in between and constant
-        outside, and so is s. `to_field` leads
-        from points of the other grid, of `shape` (H, W), to points of the field. The result, (steps
-        + 1, H, W, 2), is x - z at the times 0, 1 / steps, ..., 1.
+        where the motion does not fold, also where it magnifies; and a point stays with its branch
+        until that ends. The field v, (h, w, 2), is in points of its grid (row, column), linear in
+        between and constant outside, and so is s. `to_field` leads from points of the other grid,
+        of `shape` (H, W), to points of the field. The result, (steps + 1, H, W, 2), is x - z at the
+        times 0, 1 / steps, ..., 1.
         """
 
     def upload_spline(self, coefficients: NDArray[np.float32]) -> Any:

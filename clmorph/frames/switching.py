@@ -50,7 +50,9 @@ def switching_times(
     """Return the time, from 0 to 1, at which each place changes hands: (H, W) array.
 
     The halves are both pictures at t = 1/2; `lightness`, (3,), weighs the coordinates of a color.
-    Only places that both pictures show change hands: `shared`, (H, W), says how far they do.
+    Only places that both pictures show change hands: `shared`, (H, W), says how far they do. Where
+    there are but thin lines, as `thin`, (H, W), says, the order does not follow the edges of both,
+    which are those of the lines.
     """
     longest = max(stage.shape)
     first, second = (blurred(half, DETAIL * longest) for half in halves)
@@ -75,10 +77,10 @@ def switching_times(
         found.astype(np.float32), known, guide, fine.astype(np.float32), SIGMA_FINE,
         BOTH * LIKE,
     )  # fmt: skip
-    plain = blurred(order, THIN_WIDTH * longest)
+    across = order
     order = blurred(found[..., 0], longest / 256)
     if thin is not None:
-        order += thin * (plain - order)
+        order += thin * (blurred(across, THIN_WIDTH * longest) - order)
     # Time passes with the detail that changes hands, and less with plain places.
     detail = sum(_steepness(half @ lightness, DETAIL * longest) for half in halves)
     weight = detail / max(float(np.mean(detail)), 1e-9)

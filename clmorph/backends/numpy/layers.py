@@ -76,7 +76,10 @@ def follow_paths(
 
 
 def with_steepness(field: Float32) -> Float32:
-    """Return a field (h, w, 2) with the largest difference to a point next to each: (h, w, 3)."""
+    """Return a field (h, w, 2), and a bound of the norm of its slope at each point: (h, w, 3).
+
+    Between points the linear interpolation of that bound is a bound, too.
+    """
     steep = np.zeros(field.shape[:2])
     for axis in (0, 1):
         apart = np.linalg.norm(np.diff(field.astype(float), axis=axis), axis=2)

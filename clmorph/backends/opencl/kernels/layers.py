@@ -112,9 +112,8 @@ class Layers:
         """Follow places backwards along a field; see `clmorph.backends.interface.Operations`."""
         make = cl.cltypes
         places = [self._work.buffer(_apart(place)) for place in _places(to_field, shape)]
-        on_device = self._work.buffer(
-            np.dstack((with_steepness(field), np.zeros(field.shape[:2], np.float32)))
-        )
+        # A kernel reads four numbers at once.
+        on_device = self._work.buffer(np.pad(with_steepness(field), ((0, 0), (0, 0), (0, 1))))
         found = np.empty((steps + 1, *shape, 2), np.float32)
         buffer = self._work.empty(found.nbytes)
         samples = shape[1] * (steps * rounds + 1)
