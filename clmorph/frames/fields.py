@@ -230,7 +230,8 @@ def sampled(image: NDArray[np.floating], places: Array) -> Array:
         sides.append((low, np.minimum(low + 1, side - 1), (inside - low)[..., None]))
     (above, below, down), (left, right, along) = sides
     lines = [
-        flat[row * width + left] * (1 - along) + flat[row * width + right] * along
+        flat.take(row * width + left, axis=0) * (1 - along)
+        + flat.take(row * width + right, axis=0) * along
         for row in (above, below)
     ]
     return np.asarray(lines[0] * (1 - down) + lines[1] * down)

@@ -45,6 +45,8 @@ NEAR = 2.0
 #: Width, as a share of the longer side, over which figures are continued beyond the borders of
 #: their pictures, so that distances from outlines go on there.
 MARGIN = 1 / 8
+#: Pixels along the longer side of a picture by which distances are continued there.
+MARGIN_PIXELS = 1024
 #: Points of the stage over which a layer stops being seen beyond its own figure.
 COVER = 2.0
 #: Agreement below this is none: nobody sees the share of a color that it has.
@@ -87,28 +89,42 @@ class Channels:
     def _uploaded(self, images: Sequence[Float32], small: Canvas) -> tuple[Any, Canvas]:
         from scipy.ndimage import spline_filter
 
-        margin = round(MARGIN * max(small.shape)) if self._signed else 0
-        height, width = (side + 2 * margin for side in small.shape)
-        spline = np.zeros((height, width, 4), np.float32)
+        wide = _with_margin(small) if self._signed else small
+        margin = (wide.shape[0] - small.shape[0]) // 2
+        spline = np.zeros((*wide.shape, 4), np.float32)
         channels = (image[..., c : c + 1] for image in images for c in range(image.shape[2]))
         for number, channel in enumerate(channels):
             plane = reduced(channel, small.shape)[..., 0]
             if number == 3 and self._signed:
-                wider = _continued(plane, margin, 1 / max(*small.scale, 1e-9))
+                wider = _continued(plane, small)
             else:
                 wider = np.pad(plane, margin, mode="edge")
             spline[..., number] = spline_filter(wider, order=3, mode="mirror", output=np.float32)
-        return self._operations.upload_spline(spline), Canvas((height, width), small.scale)
+        return self._operations.upload_spline(spline), wide
 
 
-def _continued(distance: Float32, margin: int, pixel: float) -> Float32:
-    """Continue a signed distance from an outline by a margin.
+def _with_margin(canvas: Canvas) -> Canvas:
+    """Return a canvas with a margin on all sides."""
+    margin = round(MARGIN * max(canvas.shape))
+    height, width = canvas.shape
+    return Canvas((height + 2 * margin, width + 2 * margin), canvas.scale)
 
-    `pixel` is the distance between two pixels. Figures that end within one of the border end there;
-    others go on as they are at the border.
+
+def _continued(distance: Float32, canvas: Canvas) -> Float32:
+    """Continue a signed distance from an outline, on a canvas, by its margin.
+
+    Figures that end within a pixel of the border end there; others go on as they are at the border.
     """
     from scipy.ndimage import distance_transform_edt
 
+    few, wide = canvas.reduced(MARGIN_PIXELS), _with_margin(canvas)
+    margin = (wide.shape[0] - canvas.shape[0]) // 2
+    if few.shape != canvas.shape:
+        coarse = _continued(reduced(distance[..., None], few.shape)[..., 0], few)
+        wider = Enlarged(coarse, affine(wide, _with_margin(few)), wide.shape).rows()
+        wider[margin:-margin, margin:-margin] = distance
+        return wider
+    pixel = 1 / max(*canvas.scale, 1e-9)
     goes_on = np.pad(distance > 0.75 * pixel, margin, mode="edge")
     inside = np.pad(distance > 0, margin) | goes_on
     if inside.all() or not inside.any():
