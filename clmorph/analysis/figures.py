@@ -12,16 +12,7 @@ from numpy.typing import NDArray
 from clmorph._shared.files import atomic_path, check_file_place
 from clmorph._shared.printable import percent, reason_of
 from clmorph._shared.validation import is_path, shown
-from clmorph.analysis.drawing import (
-    ARROWS,
-    GRAY,
-    INK,
-    STYLE,
-    draw_field,
-    ordinal,
-    show,
-    step_of,
-)
+from clmorph.analysis.drawing import ARROWS, GRAY, INK, STYLE, draw_field, ordinal, show, step_of
 from clmorph.analysis.panels import (
     color_bar,
     draw_lengths,

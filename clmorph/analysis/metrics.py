@@ -12,12 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clmorph._shared.validation import (
-    check_choice,
-    check_integer,
-    check_progress,
-    shown,
-)
+from clmorph._shared.validation import check_choice, check_integer, check_progress, shown
 from clmorph.analysis.film_metrics import (
     FilmMeasures,
     as_times,
@@ -35,12 +30,7 @@ from clmorph.backends.arrays import as_floats
 from clmorph.backends.multi_device import members_of
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
-from clmorph.frames.as_measure import (
-    FRAME_WEIGHTS,
-    MERGED_POINTS,
-    frame_measure,
-    particle_measure,
-)
+from clmorph.frames.as_measure import FRAME_WEIGHTS, MERGED_POINTS, frame_measure, particle_measure
 from clmorph.frames.filling import is_torn
 from clmorph.frames.sequence import check_frame_sequence
 from clmorph.images.resizing import resized

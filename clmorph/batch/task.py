@@ -19,12 +19,7 @@ from clmorph._shared.printable import MESSAGE, printable, reason_of
 from clmorph.backends.select import get_backend
 from clmorph.batch.jobs import Job
 from clmorph.batch.places import is_remote, local_copy, local_output
-from clmorph.errors import (
-    ClmorphError,
-    ClmorphWarning,
-    ConvergenceWarning,
-    MemoryWarning,
-)
+from clmorph.errors import ClmorphError, ClmorphWarning, ConvergenceWarning, MemoryWarning
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.pixels import read_visible
 from clmorph.output.playback import held_frames, motion_of

@@ -11,11 +11,7 @@ from numpy.typing import NDArray
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.kernel_files import KERNELS
-from clmorph.backends.opencl.verification.findings import (
-    SIGNS_OF_WRONG_RESULTS,
-    Finding,
-    words_of,
-)
+from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS, Finding, words_of
 from clmorph.errors import InputError
 from clmorph.measures.lift import lift
 from clmorph.pipeline.morph import morph

@@ -11,12 +11,7 @@ from clmorph.errors import InputError
 from clmorph.pipeline.maps import NO_MAPS
 from clmorph.pipeline.mixing.mix import check_images, mixes_of
 from clmorph.pipeline.mixing.mixes import pairs_of
-from clmorph.pipeline.mixing.weights import (
-    check_mix_weights,
-    grid_layout,
-    grid_sides,
-    path_weights,
-)
+from clmorph.pipeline.mixing.weights import check_mix_weights, grid_layout, grid_sides, path_weights
 from clmorph.pipeline.mixing.writing import check_outputs, write_film, write_sheet
 from clmorph.pipeline.prepare import recognized
 

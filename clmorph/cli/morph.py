@@ -26,13 +26,7 @@ from clmorph.cli.common import (
 )
 from clmorph.cli.request import Request, places_of
 from clmorph.cli.terminal import Stages, note, say
-from clmorph.errors import (
-    ConvergenceWarning,
-    FileError,
-    InputError,
-    MemoryWarning,
-    PruningWarning,
-)
+from clmorph.errors import ConvergenceWarning, FileError, InputError, MemoryWarning, PruningWarning
 from clmorph.images.detail import is_pixel_art
 from clmorph.measures.pixel_blocks import block_side, solved_size
 from clmorph.output.framing import enlargement_note

@@ -6,12 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import (
-    distance_transform_edt,
-    grey_dilation,
-    map_coordinates,
-    spline_filter,
-)
+from scipy.ndimage import distance_transform_edt, grey_dilation, map_coordinates, spline_filter
 
 from clmorph._shared.progress import Report
 from clmorph._shared.typing import Array

@@ -10,14 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from clmorph._shared.option_kinds import integer, number
-from clmorph._shared.options import (
-    Options,
-    is_off,
-    option,
-    specifications,
-    text_of,
-    with_default,
-)
+from clmorph._shared.options import Options, is_off, option, specifications, text_of, with_default
 from clmorph._shared.validation import as_float, check_choice, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.frames.options import BULGING, GAMMA, RenderOptions

@@ -24,13 +24,7 @@ from clmorph.pipeline.mixing.mixes import pairs_of
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import recognized
 from clmorph.pipeline.recipe import picture_entries, recipe
-from clmorph.studio.choices import (
-    LANDMARKS_FOUND,
-    Choices,
-    command_line,
-    memory_given,
-    python_code,
-)
+from clmorph.studio.choices import LANDMARKS_FOUND, Choices, command_line, memory_given, python_code
 from clmorph.studio.making import MAKERS, Film, Task, small_tasks
 from clmorph.studio.tabs import Result, Shown, Tab
 

@@ -21,10 +21,7 @@ from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.transport._solver.checks import (
-    check_problem,
-    check_solver_options,
-)
+from clmorph.transport._solver.checks import check_problem, check_solver_options
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.gradient import Gradient, divergence_gradient

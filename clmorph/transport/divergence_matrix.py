@@ -14,12 +14,7 @@ from clmorph.measures.many import as_many
 from clmorph.measures.points import AnyMeasure, as_pair
 from clmorph.transport._solver.checks import check_solver_options
 from clmorph.transport._solver.symmetric import are_equal
-from clmorph.transport.divergence import (
-    Divergence,
-    check_symmetric,
-    combined,
-    one_regularization,
-)
+from clmorph.transport.divergence import Divergence, check_symmetric, combined, one_regularization
 from clmorph.transport.divergence_batch import solve_further
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials

@@ -7,21 +7,11 @@ import numpy as np
 from clmorph.backends.select import Backend
 from clmorph.errors import InputError, PlanSizeError
 from clmorph.measures.points import MeasureLike, as_pair
-from clmorph.transport._solver.plan_softmin import (
-    plan_softmin,
-    rounding_of,
-    row_mass,
-    row_softmin,
-)
+from clmorph.transport._solver.plan_softmin import plan_softmin, rounding_of, row_mass, row_softmin
 from clmorph.transport.options import PlanOptions, PruningOptions, RelativeTo
 from clmorph.transport.plan import BYTES_PER_PAIR, Plan
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.pruning import (
-    no_pair_kept,
-    only,
-    strictly_above,
-    undecided,
-)
+from clmorph.transport.pruning import no_pair_kept, only, strictly_above, undecided
 
 
 def transport_plan(

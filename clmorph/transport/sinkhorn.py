@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array, Progress
-from clmorph._shared.validation import (
-    check_flag,
-    check_progress,
-)
+from clmorph._shared.validation import check_flag, check_progress
 from clmorph.backends.interface import Operations
 from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.records import LastPasses
@@ -33,13 +30,7 @@ from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.state import Outcome, measured
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
-from clmorph.transport.options import (
-    AlgorithmOptions,
-    Method,
-    Precision,
-    Reach,
-    SolverOptions,
-)
+from clmorph.transport.options import AlgorithmOptions, Method, Precision, Reach, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Regularization, refuses_other_order, regularization
 

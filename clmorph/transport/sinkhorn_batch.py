@@ -18,11 +18,7 @@ from clmorph.errors import InputError
 from clmorph.measures.many import Checked, as_many
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.batch import NotFiniteError, problem_of_many
-from clmorph.transport._solver.checks import (
-    check_problem,
-    check_solver_options,
-    is_large,
-)
+from clmorph.transport._solver.checks import check_problem, check_solver_options, is_large
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.softmin import overflow
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric

@@ -16,12 +16,7 @@ from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.guides import guides
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.mixing.mixes import Mixes, pairs_of
-from clmorph.pipeline.mixing.weights import (
-    MOST_IMAGES,
-    check_mix_weights,
-    grid_layout,
-    row_layout,
-)
+from clmorph.pipeline.mixing.weights import MOST_IMAGES, check_mix_weights, grid_layout, row_layout
 from clmorph.pipeline.morph import shapes_of
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import Picture, as_images, as_options, fitted

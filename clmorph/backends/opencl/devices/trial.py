@@ -17,12 +17,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from clmorph._shared.validation import check_number
-from clmorph.backends.opencl.devices.verdicts import (
-    CRASHED,
-    OPTIONAL,
-    failed,
-    save_program_verdict,
-)
+from clmorph.backends.opencl.devices.verdicts import CRASHED, OPTIONAL, failed, save_program_verdict
 
 #: Time limit in seconds to build and check a program, and the variable that changes it.
 PROBE_SECONDS = 60.0

@@ -7,12 +7,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.numpy.layers import (
-    LEAST_WEIGHT,
-    mean_radius,
-    nearest_cells,
-    with_steepness,
-)
+from clmorph.backends.numpy.layers import LEAST_WEIGHT, mean_radius, nearest_cells, with_steepness
 from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.variants import Variant

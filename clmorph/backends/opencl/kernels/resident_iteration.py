@@ -18,13 +18,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.clouds import split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
-from clmorph.backends.records import (
-    SOURCE,
-    Float64,
-    IterationNumbers,
-    ProgramError,
-    next_source,
-)
+from clmorph.backends.records import SOURCE, Float64, IterationNumbers, ProgramError, next_source
 
 
 @dataclass(eq=False)

@@ -18,11 +18,7 @@ from clmorph.backends.opencl.verification import (  # noqa: F401 (each adds its 
     tables,
 )
 from clmorph.backends.opencl.verification.bench import DIMENSION, TABLE, Bench, Cloud
-from clmorph.backends.opencl.verification.findings import (
-    SIGNS_OF_WRONG_RESULTS,
-    Finding,
-    words_of,
-)
+from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS, Finding, words_of
 from clmorph.errors import ClmorphError
 
 
