@@ -22,12 +22,7 @@ SHOWN_LENGTH = 60
 
 
 def check_number(
-    name: str,
-    value: Any,
-    low: float,
-    high: float,
-    *,
-    open_low: bool = False,
+    name: str, value: Any, low: float, high: float, *, open_low: bool = False
 ) -> float:
     """Return `value` as a float in [low, high] or, if `open_low`, in (low, high]."""
     bracket = "(" if open_low else "["

@@ -18,12 +18,7 @@ Pairs = Iterable[tuple[Any, Any, Any]]
 
 
 def morph(
-    pairs: Pairs,
-    *,
-    client: Any,
-    backend: str = "auto",
-    preset: str | None = None,
-    **options: Any,
+    pairs: Pairs, *, client: Any, backend: str = "auto", preset: str | None = None, **options: Any
 ) -> Iterator[dict[str, Any]]:
     """Write the morphs of many pairs of files on Dask's workers; yield each as it ends.
 

@@ -94,9 +94,7 @@ def to_bytes(frame: AnyArray) -> NDArray[np.uint8]:
     return np.round(np.clip(frame, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
-def split_alpha(
-    pixels: Array,
-) -> tuple[Array, Array | None]:
+def split_alpha(pixels: Array) -> tuple[Array, Array | None]:
     """Return (H, W, 3) colors, and (H, W) opacity or None if all pixels are opaque."""
     if pixels.shape[2] == 3:
         return pixels, None

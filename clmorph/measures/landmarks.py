@@ -87,10 +87,7 @@ def guided(
 
 
 def _sides(
-    landmarks: Landmarks,
-    source: Measure,
-    target: Measure,
-    shapes: Sequence[tuple[int, int]] | None,
+    landmarks: Landmarks, source: Measure, target: Measure, shapes: Sequence[tuple[int, int]] | None
 ) -> tuple[Array, Array]:
     """Return the places of landmarks in the frames of both measures: (n, 2) arrays."""
     pairs = np.asarray(landmarks, float).reshape(-1, 2, 2)

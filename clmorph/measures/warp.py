@@ -183,13 +183,7 @@ def agreeing(starts: Array, ends: Array) -> BoolArray:
     return kept
 
 
-def _flow(
-    starts: Array,
-    ends: Array,
-    source: Measure,
-    base: _Base,
-    smoothing: float,
-) -> Warp:
+def _flow(starts: Array, ends: Array, source: Measure, base: _Base, smoothing: float) -> Warp:
     """Return the base followed by the flow; smoothing of infinity leaves out the flow."""
     height, width = source.shape
     low, high = corners(source)

@@ -108,10 +108,7 @@ def write_picture(
 
 
 def write_image(
-    path: str | PathLike[str],
-    image: ArrayLike,
-    *,
-    parameters: Mapping[str, Any] | None = None,
+    path: str | PathLike[str], image: ArrayLike, *, parameters: Mapping[str, Any] | None = None
 ) -> None:
     """Write an image to a file, the counterpart of `clmorph.read_image`.
 

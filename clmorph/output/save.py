@@ -228,9 +228,7 @@ def save(
         write_all([output], recording, options, lambda place, share: report(f"write {path}", share))
 
 
-def _as_chain(
-    morphs: FrameSequence | Sequence[FrameSequence],
-) -> Sequence[FrameSequence]:
+def _as_chain(morphs: FrameSequence | Sequence[FrameSequence]) -> Sequence[FrameSequence]:
     """Return one morph or several as a sequence of morphs."""
     if isinstance(morphs, FrameSequence):
         return [morphs]

@@ -212,7 +212,7 @@ class ImagePair:
         solved, whole = solve_parts(
             parts, masses, given, options.tol, options.max_iter, operations, report
         )
-        warn_unless_converged(whole.status, whole.message)
+        warn_unless_converged(whole.status, whole.message, 5)
         return solved, whole
 
     def morph(self, backend: Backend, report: StageProgress) -> Morph:
@@ -275,11 +275,7 @@ class ImagePair:
         return replace(result, kernel_width=replace(result.kernel_width, curve=curve))
 
     def _kernel_width(
-        self,
-        lifted: Sequence[Picture],
-        source: Measure,
-        target: Measure,
-        plan: Plan | Barycentric,
+        self, lifted: Sequence[Picture], source: Measure, target: Measure, plan: Plan | Barycentric
     ) -> KernelWidth:
         """Return the kernel's width over time (Eq. 3 and 4), in pixels of the frames."""
         options = self.options

@@ -67,9 +67,7 @@ def as_options(
 
 
 def fitted(
-    images: Sequence[AnyArray],
-    options: MorphOptions,
-    beside: Maps = NO_MAPS,
+    images: Sequence[AnyArray], options: MorphOptions, beside: Maps = NO_MAPS
 ) -> list[Picture]:
     """Return images of `as_images` downscaled to the size at which they are drawn.
 

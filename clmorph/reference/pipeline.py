@@ -42,10 +42,7 @@ def canvas_shape(t: float, source: Measure, target: Measure) -> tuple[int, int]:
     Its sides are interpolated between those of the source and of the target, and rounded down.
     """
     (hs, ws), (ht, wt) = source.shape, target.shape
-    return (
-        hs + int(np.floor(t * (ht - hs) + 1e-9)),
-        ws + int(np.floor(t * (wt - ws) + 1e-9)),
-    )
+    return (hs + int(np.floor(t * (ht - hs) + 1e-9)), ws + int(np.floor(t * (wt - ws) + 1e-9)))
 
 
 def kernel_width(
@@ -69,12 +66,7 @@ def kernel_width(
 
 
 def render(
-    source: Measure,
-    target: Measure,
-    plan: Array,
-    t: float,
-    sigma: float,
-    unmatched: str = "fade",
+    source: Measure, target: Measure, plan: Array, t: float, sigma: float, unmatched: str = "fade"
 ) -> tuple[Array, Array]:
     """Sum the kernels of all particles at time t (paper, 3.3), without truncation.
 

@@ -3,7 +3,7 @@
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,6 @@ from clmorph.pipeline.morph import morph
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import DRAFT_TOL
 from clmorph.pipeline.rearrange import arranged
-from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recolor import recolored
 from clmorph.pipeline.result import Morph, keep_frames
 from clmorph.studio.overlays import CREATED, DESTROYED, tinted, unmatched_shares
@@ -211,16 +210,27 @@ MAKERS: dict[str, Callable[[Task, StageProgress], Made]] = {
 
 def small_tasks(kind: str, task: Task) -> list[Task]:
     """Return tasks for previews of a task, each finer than the one before."""
+    options, pictures = task.options, task.pictures
+    steps: list[dict[str, Any]]
+    if kind == "morph":
+        steps = [_quick(options, size) | _slower(options, frames) for size, frames in MORPH_STEPS]
+    elif kind == "rearrange":
+        steps = [
+            {"size": _least(options.size, size), **_slower(options, frames)}
+            for size, frames in REARRANGE_STEPS
+        ]
+    elif kind == "mix":
+        steps = [_quick(options, size) for size in MIX_STEPS]
+    else:  # neither the picture nor the colors that it takes need all pixels
+        pictures = [fit(each, side) for each, side in zip(pictures, RECOLOR_SIDES, strict=True)]
+        shrunk = max(pictures[0].shape[:2]) / max(task.pictures[0].shape[:2])
+        steps = [{"feather": options.feather * shrunk}]
     found: list[Task] = []
-    for small in _SMALLER[kind](task):
+    for step in steps:
+        small = replace(task, pictures=pictures, options=options.replace(**step))
         if not found or small.options != found[-1].options:
             found.append(small)
     return found
-
-
-def _with(task: Task, options: Any, pictures: Sequence[AnyArray] | None = None) -> Task:
-    pictures = task.pictures if pictures is None else pictures
-    return Task(pictures, task.painted, options, task.operations, task.grid)
 
 
 def _least(value: int | None, most: int) -> int:
@@ -241,39 +251,3 @@ def _quick(options: MorphOptions, size: int) -> dict[str, Any]:
         "tol": max(options.tol, DRAFT_TOL),
         "max_particles": _least(options.max_particles, PARTICLES),
     }  # fmt: skip
-
-
-def _small_morphs(task: Task) -> list[Task]:
-    options: MorphOptions = task.options
-    return [
-        _with(task, options.replace(**_quick(options, size), **_slower(options, frames)))
-        for size, frames in MORPH_STEPS
-    ]
-
-
-def _small_rearrangements(task: Task) -> list[Task]:
-    options: RearrangeOptions = task.options
-    return [
-        _with(task, options.replace(size=_least(options.size, size), **_slower(options, frames)))
-        for size, frames in REARRANGE_STEPS
-    ]
-
-
-def _small_recolored(task: Task) -> list[Task]:
-    """Return one task: neither the picture nor the colors that it takes need all pixels."""
-    photo, like = (fit(each, side) for each, side in zip(task.pictures, RECOLOR_SIDES, strict=True))
-    shrunk = max(photo.shape[:2]) / max(task.pictures[0].shape[:2])
-    return [_with(task, task.options.replace(feather=task.options.feather * shrunk), (photo, like))]
-
-
-def _small_mixes(task: Task) -> list[Task]:
-    options: MorphOptions = task.options
-    return [_with(task, options.replace(**_quick(options, size))) for size in MIX_STEPS]
-
-
-_SMALLER: dict[str, Callable[[Task], list[Task]]] = {
-    "morph": _small_morphs,
-    "rearrange": _small_rearrangements,
-    "recolor": _small_recolored,
-    "mix": _small_mixes,
-}

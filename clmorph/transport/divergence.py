@@ -222,7 +222,7 @@ def sinkhorn_divergence(
     parts: list[Potentials] = []
     for number, measure in enumerate(pair):
         parts.append(self_transport_of(measure, given, tol, max_iter, operations, precision))
-        _warn_of_itself(parts[-1])
+        warn_unless_converged(parts[-1].status, f"self-transport: {parts[-1].message}", 4)
         report(0.15 * (number + 1))
     if are_equal(*pair):
         cross = parts[0]
@@ -244,11 +244,6 @@ def sinkhorn_divergence(
         result = replace(result, gradient=found)
     report(1.0)
     return result
-
-
-def _warn_of_itself(own: Potentials) -> None:
-    """Warn if the problem of a measure with itself did not converge."""
-    warn_unless_converged(own.status, f"self-transport: {own.message}", 5)
 
 
 def one_regularization(blur: Any, reach: Any, epsilon: Any, rho: Any) -> Regularization:

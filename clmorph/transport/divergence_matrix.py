@@ -159,8 +159,9 @@ def divergence_matrix(
     solved = solve_many(pairs, given, tol, max_iter, operations, precision, report, name)
     selves = {number: (solved[i], solved[j]) for number, (i, j) in enumerate(between) if i != j}
     solve_further(solved, selves, pairs, given, tol, max_iter, operations, precision, name)
-    matrix = DivergenceMatrix(solved, places, given)
-    return matrix if solved.converged else _warned(matrix, what_missed(solved, name))
+    if not solved.converged:
+        warn_unless_converged("missed", what_missed(solved, name))
+    return DivergenceMatrix(solved, places, given)
 
 
 def _name(i: int, j: int) -> str:
@@ -176,9 +177,3 @@ def _pair(i: int, j: int, source: Any, target: Any) -> tuple[AnyMeasure, AnyMeas
     except InputError as error:
         raise InputError(f"{_name(i, j)}: {error}") from None
     return pair
-
-
-def _warned(matrix: DivergenceMatrix, message: str) -> DivergenceMatrix:
-    """Return a matrix, and warn that not all solves reached the tolerance."""
-    warn_unless_converged("missed", message)
-    return matrix

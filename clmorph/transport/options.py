@@ -36,11 +36,7 @@ _REACH = replace(
     LENGTH, check=lambda name, value: value, pair=True, expected="a number",
     metavar="number|balanced|source,target",
 )  # fmt: skip
-_RHO = replace(
-    _REACH,
-    schema=_SQUARE.schema,
-    words=(("balanced", math.inf),),
-)
+_RHO = replace(_REACH, schema=_SQUARE.schema, words=(("balanced", math.inf),))
 
 
 @dataclass(frozen=True, init=False)

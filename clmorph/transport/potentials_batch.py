@@ -97,12 +97,7 @@ class PotentialsBatch(Sequence[Potentials]):
 class Solved:
     """Problems that were solved together."""
 
-    def __init__(
-        self,
-        numbers: IntArray,
-        iteration: Iteration,
-        given: Regularization,
-    ) -> None:
+    def __init__(self, numbers: IntArray, iteration: Iteration, given: Regularization) -> None:
         self.numbers, self._iteration, self._given = numbers, iteration, given
         self.statuses: list[str] = list(iteration.status)
         self.residuals, self.n_iter = iteration.residual, iteration.n_iter

@@ -58,11 +58,7 @@ def _places(source: PixelBlocks, target: PixelBlocks) -> list[tuple[int, int]]:
 
 
 def _pixels(
-    source: PixelBlocks,
-    target: PixelBlocks,
-    i: IntArray,
-    j: IntArray,
-    place: tuple[int, int],
+    source: PixelBlocks, target: PixelBlocks, i: IntArray, j: IntArray, place: tuple[int, int]
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Return the pairs of blocks that have a place, and their pixels there in source and target."""
     finest = max(source.side, target.side)
@@ -120,20 +116,13 @@ def drawn(
 
 
 def _to_pixels(
-    drawn: AnyArray,
-    chosen: IntArray,
-    masses: Array,
-    own: PixelBlocks,
-    other: PixelBlocks,
+    drawn: AnyArray, chosen: IntArray, masses: Array, own: PixelBlocks, other: PixelBlocks
 ) -> tuple[IntArray, IntArray, Array]:
     """Return pixel pairs of one side's draws: own pixels, other pixels, and masses of the pairs."""
     n, count = drawn.shape
     along = z_order(*np.divmod(np.arange(len(other.coarse)), other.coarse.shape[1]))
     order = np.argsort(along[drawn], axis=1, kind="stable")
-    blocks, others = (
-        np.repeat(chosen, count),
-        np.take_along_axis(drawn, order, axis=1).ravel(),
-    )
+    blocks, others = (np.repeat(chosen, count), np.take_along_axis(drawn, order, axis=1).ravel())
     mass = np.take_along_axis(masses, order, axis=1).ravel()
     travels = np.flatnonzero(mass > 0)
     rank, finest = np.tile(np.arange(count), n)[travels], max(own.side, other.side)
@@ -244,11 +233,7 @@ def _as_plan(
 
 
 def _with_all_pixels(
-    own: IntArray,
-    other: IntArray,
-    mass: Array,
-    blocks: PixelBlocks,
-    wanted: Array,
+    own: IntArray, other: IntArray, mass: Array, blocks: PixelBlocks, wanted: Array
 ) -> tuple[IntArray, IntArray, Array]:
     """Let pixels that should move but have no pair share the heaviest pair of their block.
 

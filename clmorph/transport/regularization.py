@@ -44,10 +44,7 @@ class Regularization(NamedTuple):
 
 
 def regularization(
-    blur: Any = None,
-    reach: Any = None,
-    epsilon: Any = None,
-    rho: Any = None,
+    blur: Any = None, reach: Any = None, epsilon: Any = None, rho: Any = None
 ) -> Regularization:
     """Check either blur or epsilon = blur^2, and either reach or rho = reach^2 (paper, 2.1).
 

@@ -159,21 +159,14 @@ def sinkhorn(
         problem = Problem.between(operations, *pair, given.rho)
         found = _geomloss(problem, given, scaling, tol, precision, report)
     else:
-        found = _warned(
-            solve(
-                operations, pair, given, tol, max_iter, precision, report,
-                truncation=truncation, g=g, multiscale=multiscale, verify=verify, keep=True,
-            )
+        found = solve(
+            operations, pair, given, tol, max_iter, precision, report, truncation=truncation, g=g,
+            multiscale=multiscale, verify=verify, keep=True,
         )  # fmt: skip
+        warn_unless_converged(found.status, found.message, 4)
     # Points of a cost with a metric for each source pixel have no coordinates of their own.
     foreign = isinstance(source, Measure) and source.has_metric_map
     return found if foreign else replace(found, measures=pair)
-
-
-def _warned(potentials: Potentials) -> Potentials:
-    """Return potentials, and warn if they did not reach the tolerance."""
-    warn_unless_converged(potentials.status, potentials.message, 5)
-    return potentials
 
 
 def solve(
@@ -300,10 +293,7 @@ def outcome(
     }[status]
 
 
-def warn_unless_converged(status: str, message: str, frames: int = 4) -> None:
-    """Warn the caller of a public function, which calls this through one private function.
-
-    frames: one more where the public function is decorated.
-    """
+def warn_unless_converged(status: str, message: str, frames: int = 3) -> None:
+    """Warn the caller of the function that calls this; frames: one more if that is decorated."""
     if status != "converged":
         warnings.warn(message, ConvergenceWarning, stacklevel=frames)

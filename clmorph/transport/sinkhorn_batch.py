@@ -114,11 +114,6 @@ def sinkhorn_batch(
     pairs = checked_pairs(as_many("sources", sources), as_many("targets", targets))
     operations = get_backend(backend)
     found = solve_many(pairs, given, tol, max_iter, operations, precision, report)
-    return _warned(found)
-
-
-def _warned(found: PotentialsBatch) -> PotentialsBatch:
-    """Return potentials, and warn if not all reached the tolerance."""
     if not found.converged:
         warn_unless_converged("missed", what_missed(found, problem_name))
     return found

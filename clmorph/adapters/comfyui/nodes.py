@@ -41,7 +41,10 @@ from clmorph.pipeline.recolor_options import RecolorOptions
 LUT = "CLMORPH_LUT"
 #: The names of the inputs for pictures of a mix.
 LETTERS = "abcd"
-Inputs = dict[str, dict[str, widgets.Widget]]
+Inputs = dict[str, widgets.Widget]
+#: Inputs of the nodes that recolor.
+RECOLORED = widgets.image("The pictures to be recolored.")
+MASK = widgets.mask("1 where pictures are recolored; other pixels stay.")
 
 
 class Node:
@@ -49,6 +52,8 @@ class Node:
 
     CATEGORY = "clmorph"
     FUNCTION = "run"
+    REQUIRED: ClassVar[Inputs] = {}
+    OPTIONAL: ClassVar[Inputs] = {"device": widgets.DEVICE}
     RETURN_TYPES: ClassVar[tuple[str, ...]] = ("IMAGE", "MASK")
     RETURN_NAMES: ClassVar[tuple[str, ...]] = ("images", "masks")
     OUTPUT_TOOLTIPS: ClassVar[tuple[str, ...]] = (
@@ -56,11 +61,17 @@ class Node:
         "1 where the pictures are transparent.",
     )
 
+    @classmethod
+    def INPUT_TYPES(cls) -> dict[str, Inputs]:  # noqa: N802 (ComfyUI's)
+        """Return the inputs."""
+        return {"required": cls.REQUIRED, "optional": cls.OPTIONAL}
+
 
 class NodeWithOptions(Node):
     """A node that takes further options of a class as text."""
 
     OPTIONS: ClassVar[type[Options]] = MorphOptions
+    OPTIONAL: ClassVar[Inputs] = {"options": widgets.OPTIONS, "device": widgets.DEVICE}
 
     @classmethod
     def VALIDATE_INPUTS(cls, options: str | None = "") -> bool | str:  # noqa: N802
@@ -88,27 +99,22 @@ class Morph(NodeWithOptions):
         "is morphed; a single picture goes with every picture of the other batch."
     )
 
-    @classmethod
-    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
-        """Return the inputs."""
-        hidden = "1 where the picture is transparent, as Load Image gives it."
-        return {
-            "required": {
-                "source": widgets.image("The pictures at the start."),
-                "target": widgets.image("The pictures at the end."),
-                "frames": widgets.FRAMES,
-                "time": widgets.TIME,
-                "ease": widgets.option(PlaybackOptions, "ease"),
-                "preset": widgets.PRESET,
-                "size": widgets.SIZE,
-            },
-            "optional": {
-                "source_mask": widgets.mask(hidden),
-                "target_mask": widgets.mask(hidden),
-                "options": widgets.OPTIONS,
-                "device": widgets.DEVICE,
-            },
-        }
+    REQUIRED: ClassVar[Inputs] = {
+        "source": widgets.image("The pictures at the start."),
+        "target": widgets.image("The pictures at the end."),
+        "frames": widgets.FRAMES,
+        "time": widgets.TIME,
+        "ease": widgets.option(PlaybackOptions, "ease"),
+        "preset": widgets.PRESET,
+        "size": widgets.SIZE,
+    }
+    OPTIONAL: ClassVar[Inputs] = {
+        **dict.fromkeys(
+            ("source_mask", "target_mask"),
+            widgets.mask("1 where the picture is transparent, as Load Image gives it."),
+        ),
+        **NodeWithOptions.OPTIONAL,
+    }
 
     def run(
         self,
@@ -152,39 +158,28 @@ class Mix(NodeWithOptions):
         "are mixed, the second ones, and so on."
     )
 
-    @classmethod
-    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
-        """Return the inputs."""
-        images = {f"image_{each}": widgets.image(f"Picture {each}.") for each in LETTERS}
-        masks = {
-            f"image_{each}_mask": widgets.mask(f"1 where picture {each} is transparent.")
-            for each in LETTERS
-        }
-        weights = {
+    REQUIRED: ClassVar[Inputs] = {
+        **{f"image_{each}": widgets.image(f"Picture {each}.") for each in LETTERS[:2]},
+        **{
             f"weight_{each}": widgets.real(
                 1.0, 0.0, 1000.0, f"Weight of picture {each}, beside those of the others."
             )
             for each in LETTERS
-        }
-        grid = widgets.whole(
+        },
+        "grid": widgets.whole(
             0, 0, 15, "Number of mixes along each side of a grid, in place of the weights; 0: none."
-        )
-        both = ("image_a", "image_b")
-        return {
-            "required": {
-                **{name: images[name] for name in both},
-                **weights,
-                "grid": grid,
-                "preset": widgets.PRESET,
-                "size": widgets.SIZE,
-            },
-            "optional": {
-                **{name: each for name, each in images.items() if name not in both},
-                **masks,
-                "options": widgets.OPTIONS,
-                "device": widgets.DEVICE,
-            },
-        }
+        ),
+        "preset": widgets.PRESET,
+        "size": widgets.SIZE,
+    }
+    OPTIONAL: ClassVar[Inputs] = {
+        **{f"image_{each}": widgets.image(f"Picture {each}.") for each in LETTERS[2:]},
+        **{
+            f"image_{each}_mask": widgets.mask(f"1 where picture {each} is transparent.")
+            for each in LETTERS
+        },
+        **NodeWithOptions.OPTIONAL,
+    }
 
     def run(
         self,
@@ -226,20 +221,14 @@ class Rearrange(NodeWithOptions):
 
     OPTIONS = RearrangeOptions
 
-    @classmethod
-    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
-        """Return the inputs."""
-        return {
-            "required": {
-                "source": widgets.image("The pictures whose pixels are moved."),
-                "target": widgets.image("The pictures that they form."),
-                "frames": widgets.FRAMES,
-                "time": widgets.TIME,
-                "size": widgets.whole(256, *widgets.SIDES, widgets.SIZE[1]["tooltip"]),
-                "color_weight": widgets.option(RearrangeOptions, "color_weight"),
-            },
-            "optional": {"options": widgets.OPTIONS, "device": widgets.DEVICE},
-        }
+    REQUIRED: ClassVar[Inputs] = {
+        "source": widgets.image("The pictures whose pixels are moved."),
+        "target": widgets.image("The pictures that they form."),
+        "frames": widgets.FRAMES,
+        "time": widgets.TIME,
+        "size": widgets.whole(256, *widgets.SIDES, widgets.SIZE[1]["tooltip"]),
+        "color_weight": widgets.option(RearrangeOptions, "color_weight"),
+    }
 
     def run(
         self,
@@ -279,24 +268,15 @@ class Recolor(NodeWithOptions):
 
     OPTIONS = RecolorOptions
 
-    @classmethod
-    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
-        """Return the inputs."""
-        return {
-            "required": {
-                "images": widgets.image("The pictures to be recolored."),
-                "like": widgets.image("The pictures that have the colors."),
-                **{
-                    name: widgets.option(RecolorOptions, name)
-                    for name in ("strength", "color_space", "blur", "feather")
-                },
-            },
-            "optional": {
-                "mask": widgets.mask("1 where pictures are recolored; other pixels stay."),
-                "options": widgets.OPTIONS,
-                "device": widgets.DEVICE,
-            },
-        }
+    REQUIRED: ClassVar[Inputs] = {
+        "images": RECOLORED,
+        "like": widgets.image("The pictures that have the colors."),
+        **{
+            name: widgets.option(RecolorOptions, name)
+            for name in ("strength", "color_space", "blur", "feather")
+        },
+    }
+    OPTIONAL: ClassVar[Inputs] = {"mask": MASK, **NodeWithOptions.OPTIONAL}
 
     def run(
         self,
@@ -333,16 +313,10 @@ class LoadLut(Node):
     OUTPUT_TOOLTIPS: ClassVar[tuple[str, ...]] = ("The table, for Apply LUT.",)
     DESCRIPTION = "Reads a table of colors: a .cube file, or a HALD picture."
 
-    @classmethod
-    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
-        """Return the inputs."""
-        return {
-            "required": {
-                "path": widgets.line(
-                    "look.cube", "Path of the file, from ComfyUI's folder for inputs on."
-                )
-            }
-        }
+    REQUIRED: ClassVar[Inputs] = {
+        "path": widgets.line("look.cube", "Path of the file, from ComfyUI's folder for inputs on.")
+    }
+    OPTIONAL: ClassVar[Inputs] = {}
 
     @classmethod
     def VALIDATE_INPUTS(cls, path: str | None = None) -> bool | str:  # noqa: N802
@@ -370,20 +344,12 @@ class ApplyLut(Node):
     OUTPUT_TOOLTIPS: ClassVar[tuple[str, ...]] = ("The pictures in their new colors.",)
     DESCRIPTION = "Applies a table of colors to every picture of a batch."
 
-    @classmethod
-    def INPUT_TYPES(cls) -> Inputs:  # noqa: N802 (ComfyUI's)
-        """Return the inputs."""
-        return {
-            "required": {
-                "images": widgets.image("The pictures to be recolored."),
-                "lut": (LUT, {"tooltip": "The table, from Load LUT."}),
-                "strength": widgets.option(RecolorOptions, "strength"),
-            },
-            "optional": {
-                "mask": widgets.mask("1 where pictures are recolored; other pixels stay."),
-                "device": widgets.DEVICE,
-            },
-        }
+    REQUIRED: ClassVar[Inputs] = {
+        "images": RECOLORED,
+        "lut": (LUT, {"tooltip": "The table, from Load LUT."}),
+        "strength": widgets.option(RecolorOptions, "strength"),
+    }
+    OPTIONAL: ClassVar[Inputs] = {"mask": MASK, **Node.OPTIONAL}
 
     def run(
         self, images: Any, lut: Lut, strength: float, mask: Any = None, device: str = "auto"

@@ -22,11 +22,7 @@ def costs(x: Float64, y: Float64) -> Float64:
 
 
 def exponent_blocks(
-    rows: Cloud,
-    columns: Cloud,
-    potential: Float64,
-    epsilon: float,
-    near: NearPairs | None = None,
+    rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, near: NearPairs | None = None
 ) -> Iterator[tuple[slice, Float64]]:
     """Yield (g_j - C_ij) / epsilon + log b_j for blocks of rows."""
     step = max(1, BLOCK_ENTRIES // max(1, len(columns.points)))

@@ -16,11 +16,9 @@ from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
 from clmorph.backends.numpy.layers import draw_layers, edge_preserving_mean, follow_paths
 from clmorph.backends.numpy.nearest_seeds import nearest_seeds
 from clmorph.backends.records import (
-    Affine,
     Bins,
     Float32,
     Float64,
-    LayerView,
     NearPairs,
     PlanRows,
     StoredPairs,
@@ -330,10 +328,7 @@ class NumPyOperations:
         return draws
 
     def upload_particles(
-        self,
-        table: Float64,
-        links: NDArray[np.uint32],
-        weights: Float64,
+        self, table: Float64, links: NDArray[np.uint32], weights: Float64
     ) -> ParticleSet:
         """Upload particles that move in straight lines."""
         return ParticleSet(table, links, weights)
@@ -353,23 +348,9 @@ class NumPyOperations:
         spacings = moved[:, 5] * 0.5 * (scale[0] + scale[1])
         return Splats(positions, moved[:, 2:5], weights, spacings)
 
-    def edge_preserving_mean(
-        self,
-        values: Float32,
-        weights: Float32,
-        guide: Float32,
-        fine_guide: Float32,
-        sigma: float,
-        tolerance: float,
-    ) -> Float64:
-        """Average values over neighbors of like color."""
-        return edge_preserving_mean(values, weights, guide, fine_guide, sigma, tolerance)
+    edge_preserving_mean = staticmethod(edge_preserving_mean)
 
-    def follow_paths(
-        self, field: Float32, to_field: Affine, shape: tuple[int, int], steps: int, rounds: int
-    ) -> Float32:
-        """Follow the place that each point of a grid shows, while a field moves it."""
-        return follow_paths(field, to_field, shape, steps, rounds)
+    follow_paths = staticmethod(follow_paths)
 
     def upload_spline(self, coefficients: Float32) -> Float32:
         """Upload a picture, as the coefficients of a cubic spline."""
@@ -379,22 +360,10 @@ class NumPyOperations:
         """Upload what moves and recolors a picture."""
         return paths, change
 
-    def draw_layers(
-        self,
-        views: Sequence[LayerView],
-        low: Float32,
-        shape: tuple[int, int],
-        rows: slice | None = None,
-    ) -> Float32:
-        """Draw two layers over one another."""
-        return draw_layers(views, low, shape, rows)
+    draw_layers = staticmethod(draw_layers)
 
     def upload_splats(
-        self,
-        positions: Float32,
-        colors: Float32,
-        weights: Float32,
-        spacings: Float32 | None = None,
+        self, positions: Float32, colors: Float32, weights: Float32, spacings: Float32 | None = None
     ) -> Splats:
         """Upload particles at rest."""
         given = np.ones(len(weights)) if spacings is None else spacings
@@ -461,17 +430,13 @@ class NumPyOperations:
                 sums[channel + 1] += (along_y * splats.colors[part, channel, None]).T @ along_x
         return np.moveaxis(sums[1:], 0, -1), sums[0]
 
-    def nearest_seeds(self, seeds: Float32, shape: tuple[int, int]) -> NDArray[np.int32]:
-        """Return the nearest seed of each pixel."""
-        return nearest_seeds(seeds, shape)
+    nearest_seeds = staticmethod(nearest_seeds)
 
     def upload_table(self, table: Float32) -> Float32:
         """Upload a table of colors."""
         return table
 
-    def apply_table(self, table: Float32, colors: Float32) -> Float32:
-        """Return colors after a table."""
-        return apply_table(table, colors)
+    apply_table = staticmethod(apply_table)
 
 
 def kernel_1d(d: Float64, sigma: float, radius: float) -> Float64:

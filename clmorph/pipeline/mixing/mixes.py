@@ -26,9 +26,8 @@ from clmorph.output.playback import eased
 from clmorph.output.save import Output
 from clmorph.pipeline.guides import Guided
 from clmorph.pipeline.mixing.leg import Leg
-from clmorph.pipeline.mixing.sheet import sheet_of
 from clmorph.pipeline.mixing.weights import Layout, check_mix_weights, path_weights
-from clmorph.pipeline.mixing.writing import check_outputs, write_film, write_sheet
+from clmorph.pipeline.mixing.writing import check_outputs, sheet_of, write_film, write_sheet
 from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import Picture

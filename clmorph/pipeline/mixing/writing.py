@@ -7,15 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clmorph._shared.progress import StageProgress
 from clmorph.errors import OutputError
+from clmorph.frames.sequence import Frame
+from clmorph.output.framing import Framing
 from clmorph.output.metadata import as_png_info
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Drawn
 from clmorph.output.save import Output, recorded_for, write_all
 from clmorph.output.together import write_together
+from clmorph.pipeline.mixing.weights import Layout
 from clmorph.pipeline.options import MorphOptions
 
 #: The ending of files with a sheet of mixes.
@@ -41,9 +45,28 @@ def check_outputs(outputs: Sequence[Output], n_stops: int, options: MorphOptions
             output.check_motion(motion)
 
 
+def sheet_of(
+    pictures: Sequence[Frame], layout: Layout, pixelated: bool, background: str | None, clear: bool
+) -> NDArray[np.uint8]:
+    """Return pictures at their places on a sheet; see `Mixes.sheet`."""
+    from PIL import Image
+
+    style = FrameStyle(background=background or (None if clear else "white"))
+    framing = Framing(style, [picture.shape for picture in pictures], pixelated)
+    width, height = framing.size
+    columns, rows = layout.size
+    mode = "RGBA" if framing.clear else "RGB"
+    ground = background or ((0, 0, 0, 0) if framing.clear else "white")
+    sheet = Image.new(mode, (columns * width, rows * height), ground)
+    for picture, (left, top) in zip(pictures, layout.places.tolist(), strict=True):
+        framed = framing(np.rint(255 * picture).astype(np.uint8))
+        sheet.paste(framed, (round(left * width), round(top * height)))
+    return np.asarray(sheet)
+
+
 def write_sheet(
     outputs: Sequence[Output],
-    sheet: np.ndarray[Any, np.dtype[np.uint8]],
+    sheet: NDArray[np.uint8],
     metadata: Mapping[str, Any],
     texts: Mapping[Path, str] | None = None,
 ) -> None:
