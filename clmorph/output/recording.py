@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.items import MadeItems
 from clmorph._shared.progress import Share
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
@@ -118,20 +119,8 @@ def recorded(
             del morph, frames  # before the next one is computed
         step = -1 if reverse else 1
         shapes = [spool.shape(index) for index in range(len(spool))]
+        backwards = MadeItems(lambda index: spool[-1 - index], len(spool))
         yield Recording(
-            _Backwards(spool) if reverse else spool, shapes[::step], np.array(times)[::step],
+            backwards if reverse else spool, shapes[::step], np.array(times)[::step],
             np.array(holds)[::step], motion, pixelated, dict(parameters or {}), kept,
         )  # fmt: skip
-
-
-class _Backwards(Sequence[NDArray[Any]]):
-    """A sequence in reverse order, whose items are read only on access."""
-
-    def __init__(self, frames: Sequence[NDArray[Any]]) -> None:
-        self._frames = frames
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: Any) -> Any:
-        return self._frames[len(self._frames) - 1 - range(len(self._frames))[index]]

@@ -2,14 +2,15 @@
 
 import io
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any, Self, overload
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.items import Items
 from clmorph._shared.printable import reason_of
 from clmorph._shared.staging import staging_folder
 from clmorph.errors import OutputError
@@ -18,7 +19,7 @@ from clmorph.errors import OutputError
 IN_MEMORY = 128 * 1024**2
 
 
-class Spool(Sequence[NDArray[Any]]):
+class Spool(Items[NDArray[Any]]):
     """A sequence of arrays of any shapes and one dtype: a few in memory, more in a temporary file.
 
     The file is removed at the end of the `with` block. Where the operating system supports files
@@ -61,14 +62,8 @@ class Spool(Sequence[NDArray[Any]]):
     def __len__(self) -> int:
         return len(self._places)
 
-    @overload
-    def __getitem__(self, index: int) -> NDArray[Any]: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[NDArray[Any]]: ...
-    def __getitem__(self, index: int | slice) -> NDArray[Any] | list[NDArray[Any]]:
-        """Read an array, or a list of arrays for a slice."""
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def _item(self, index: int) -> NDArray[Any]:
+        """Read an array."""
         offset, shape = self._places[index]
         with _disk_errors():  # written data may reach the disk only now
             self._file.seek(offset)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -344,3 +345,20 @@ def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
             "as clmorph.transport_plan returns it"
         )
     return value
+
+
+def plan_of_pairs(
+    pairs: tuple[AnyArray, AnyArray], mass: Array, shape: tuple[int, int],
+    marginals: Sequence[Array], keep_zeros: bool = False,
+) -> Plan:  # fmt: skip
+    """Return the plan of pairs (rows, columns) in any order; masses of repeated ones add up."""
+    from scipy.sparse import coo_array
+
+    found = coo_array((mass, pairs), shape=shape).tocsr()
+    found.sort_indices()
+    if not keep_zeros:
+        found.eliminate_zeros()
+    return Plan(
+        found.indptr.astype(np.int64), found.indices.astype(np.int32),
+        np.asarray(found.data, float), shape, *marginals,
+    )  # fmt: skip

@@ -14,7 +14,7 @@ from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.plan_softmin import plan_softmin, row_mass, row_softmin
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.options import MAX_DRAWS
-from clmorph.transport.plan import Plan
+from clmorph.transport.plan import Plan, plan_of_pairs
 from clmorph.transport.potentials import Potentials
 
 
@@ -109,8 +109,6 @@ def sample_plan(
     >>> drawn.shape, round(float(drawn.mass.sum()), 3), round(drawn.total_mass, 3)
     ((3, 2), 0.828, 0.828)
     """
-    from scipy.sparse import coo_array
-
     source, target = as_pair(source, target)
     draws = check_integer("draws", draws, 1, MAX_DRAWS)
     drawn = draw_pairs(source, target, potentials, n_draws(draws), seed=seed, backend=backend)
@@ -119,13 +117,7 @@ def sample_plan(
     columns = np.concatenate((drawn.targets.ravel(), np.repeat(np.arange(m), by_column)))
     mass = np.concatenate([part.ravel() for part in drawn.masses()])
     pairs = rows.astype(np.int64), columns.astype(np.int64)
-    plan = coo_array((mass, pairs), shape=(n, m)).tocsr()  # adds up repeated pairs
-    plan.sort_indices()
-    plan.eliminate_zeros()
-    return Plan(
-        plan.indptr.astype(np.int64), plan.indices.astype(np.int32), plan.data, (n, m),
-        drawn.row_mass, drawn.column_mass,
-    )  # fmt: skip
+    return plan_of_pairs(pairs, mass, (n, m), (drawn.row_mass, drawn.column_mass))
 
 
 def draw_pairs(

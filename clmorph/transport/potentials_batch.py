@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, overload
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from clmorph._shared.items import Items
 from clmorph._shared.typing import IntArray
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport.potentials import Potentials
@@ -14,7 +15,7 @@ from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import finish
 
 
-class PotentialsBatch(Sequence[Potentials]):
+class PotentialsBatch(Items[Potentials]):
     """The potentials of many problems, in the order of the problems.
 
     Each `clmorph.Potentials`, with its certificate, is made when it is first asked for.
@@ -71,15 +72,8 @@ class PotentialsBatch(Sequence[Potentials]):
         """Whether all residuals are at most the tolerance."""
         return all(status == "converged" for status in self.statuses)
 
-    @overload
-    def __getitem__(self, key: int) -> Potentials: ...
-    @overload
-    def __getitem__(self, key: slice) -> list[Potentials]: ...
-    def __getitem__(self, key: int | slice) -> Potentials | list[Potentials]:
-        """Return the potentials of a problem, or a list of those of some."""
-        if isinstance(key, slice):
-            return [self[number] for number in range(len(self))[key]]
-        number = range(len(self))[key]
+    def _item(self, number: int) -> Potentials:
+        """Return the potentials of a problem."""
         if number not in self._made:
             part, place = self._place[number]
             self._made[number] = part.make(place)
@@ -89,9 +83,6 @@ class PotentialsBatch(Sequence[Potentials]):
         """Let a problem have other potentials."""
         self._made[number], self.statuses[number] = potentials, potentials.status
         self.residuals[number], self.n_iter[number] = potentials.residual, potentials.n_iter
-
-    def __iter__(self) -> Iterator[Potentials]:
-        return (self[number] for number in range(len(self)))
 
 
 class Solved:

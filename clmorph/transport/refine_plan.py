@@ -6,13 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_array
 
 from clmorph._shared.typing import AnyArray, Array, IntArray
 from clmorph.images.resizing import resized
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.transport.barycentric import Barycentric
-from clmorph.transport.plan import Plan
+from clmorph.transport.plan import Plan, plan_of_pairs
 from clmorph.transport.plan_sampling import Draws
 
 
@@ -223,13 +222,7 @@ def _as_plan(
     )
     rows, columns, mass = _with_all_pixels(rows, columns, mass, source, row_mass)
     columns, rows, mass = _with_all_pixels(columns, rows, mass, target, column_mass)
-    matrix = coo_array((mass, (rows, columns)), shape=shape).tocsr()  # adds up repeated pairs
-    matrix.sort_indices()
-    matrix.eliminate_zeros()
-    return Plan(
-        matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32),
-        np.asarray(matrix.data, float), shape, row_mass, column_mass,
-    )  # fmt: skip
+    return plan_of_pairs((rows, columns), mass, shape, (row_mass, column_mass))
 
 
 def _with_all_pixels(

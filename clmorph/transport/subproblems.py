@@ -23,7 +23,7 @@ from clmorph.measures.points import as_pair
 from clmorph.transport._solver.checks import MASS_TOLERANCE, check_problem
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.certificate import Certificate
-from clmorph.transport.plan import Plan
+from clmorph.transport.plan import Plan, plan_of_pairs
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import solve
@@ -293,20 +293,12 @@ def joined(parts: Sequence[Subproblem], plans: Sequence[Plan | Barycentric]) -> 
     means = [plan for plan in plans if isinstance(plan, Barycentric)]
     if means:
         return _joined_means(parts, means)
-    from scipy.sparse import coo_array
-
     sparse = [plan for plan in plans if isinstance(plan, Plan)]
-    shape = sparse[0].shape
     rows, columns, mass = (
         np.concatenate(each)
         for each in zip(*((plan.rows, plan.indices, plan.mass) for plan in sparse), strict=True)
     )
-    matrix = coo_array((mass, (rows, columns)), shape=shape).tocsr()  # adds up repeated pairs
-    matrix.sort_indices()
-    return Plan(
-        matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32),
-        np.asarray(matrix.data, float), shape, *_sums(sparse),
-    )  # fmt: skip
+    return plan_of_pairs((rows, columns), mass, sparse[0].shape, _sums(sparse), keep_zeros=True)
 
 
 def _sums(plans: Sequence[Plan] | Sequence[Barycentric]) -> list[Array]:

@@ -1,11 +1,12 @@
 """Build the content of a page from a morph: frames, curves, arrows and parameters."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.items import MadeItems
 from clmorph.frames.options import BULGING
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
@@ -19,26 +20,6 @@ Array = NDArray[np.float64]
 ARROWS = 24
 #: The least mass of a place that gets an arrow, as a share of the largest mass of a place.
 FAINTEST = 1e-3
-
-
-class RenderedFrames(Sequence[NDArray[np.uint8]]):
-    """Frames of a morph in 8 bits, each rendered when it is read, and not kept."""
-
-    def __init__(self, morph: FrameSequence, times: Array) -> None:
-        self._morph = morph
-        self._times = times
-
-    def __len__(self) -> int:
-        return len(self._times)
-
-    @overload
-    def __getitem__(self, index: int) -> NDArray[np.uint8]: ...
-    @overload
-    def __getitem__(self, index: slice) -> "RenderedFrames": ...
-    def __getitem__(self, index: int | slice) -> "NDArray[np.uint8] | RenderedFrames":
-        if isinstance(index, slice):
-            return RenderedFrames(self._morph, self._times[index])
-        return to_bytes(self._morph.frame(float(self._times[index])))
 
 
 def scene_of(
@@ -60,12 +41,16 @@ def scene_of(
     rendered when it is read. `parameters` replace or complement those of the morph itself.
     """
     chosen = morph.times if times is None else np.asarray(times, np.float64)
-    pictures: Sequence[NDArray[Any]]
-    pictures = RenderedFrames(morph, chosen) if frames is None else _EightBits(frames)
+
+    def picture(index: int) -> NDArray[np.uint8]:
+        if frames is None:
+            return to_bytes(morph.frame(float(chosen[index])))
+        return to_bytes(np.asarray(frames[index]))
+
     if pixelated is None:
         pixelated = morph.pixelated
     return Scene(
-        frames=pictures,
+        frames=MadeItems(picture, len(chosen if frames is None else frames)),
         times=chosen,
         fps=fps,
         hold=hold,
@@ -85,22 +70,6 @@ def marks_of(morph: FrameSequence, *, backwards: bool = False) -> Marks:
     """Return the landmarks of a morph, in pixels of its pictures as they were given."""
     landmarks = getattr(morph.options, "landmarks", None) or ()
     return Marks(np.array(landmarks, float), morph.given_shapes, backwards)
-
-
-class _EightBits(Sequence[NDArray[np.uint8]]):
-    """Frames rounded to 8 bits as they are read."""
-
-    def __init__(self, frames: Sequence[NDArray[Any]]) -> None:
-        self._frames = frames
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return _EightBits(self._frames[index])
-        frame = np.asarray(self._frames[index])
-        return frame if frame.dtype == np.uint8 else to_bytes(frame)
 
 
 def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:

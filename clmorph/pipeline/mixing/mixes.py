@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.items import Items
 from clmorph._shared.notebook import picture
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.typing import Array, ArrayLike
@@ -49,7 +50,7 @@ class _Solved:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Mixes(Sequence[Frame]):
+class Mixes(Items[Frame]):
     """Pictures that mix several images: a sequence with one picture for each row of `weights`.
 
     Pictures are drawn on demand, and the transport between two images is solved when the first
@@ -116,14 +117,8 @@ class Mixes(Sequence[Frame]):
     def __len__(self) -> int:
         return len(self.layout.weights)
 
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | list[Frame]:
-        """Draw the picture with the weights ``weights[index]``, or a list of them for a slice."""
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def _item(self, index: int) -> Frame:
+        """Draw the picture with the weights ``weights[index]``."""
         return self.frame(self.layout.weights[index])
 
     @property
