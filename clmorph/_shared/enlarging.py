@@ -11,10 +11,7 @@ _Real = TypeVar("_Real", np.float32, np.float64)
 def enlarged(
     image: NDArray[_Real], shape: tuple[int, int], first: int = 0, stop: int | None = None
 ) -> NDArray[_Real]:
-    """Return rows of an image (H, W, C) enlarged to `shape`, linear between the given pixels.
-
-    Beyond the centers of the outermost pixels it is constant.
-    """
+    """Return rows of an image (H, W, C) enlarged linearly to `shape`, constant at its borders."""
     height, width = shape
     low, weight = _between(
         image.shape[0], height, np.arange(first, height if stop is None else stop)

@@ -192,10 +192,7 @@ def errors_as_output(target: str | PathLike[str]) -> Iterator[None]:
 
 @contextmanager
 def atomic_path(target: str | PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path; the file written there replaces the target in one step.
-
-    See `atomic_paths`. Every OSError of the block becomes an OutputError.
-    """
+    """Yield a path whose file replaces the target; an OSError becomes an OutputError."""
     with atomic_paths([target]) as (made,), errors_as_output(target):
         yield made
 

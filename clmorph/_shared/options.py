@@ -163,10 +163,7 @@ class Options:
 
     @classmethod
     def of_call(cls, options: Any, given: Mapping[str, Any], example: str) -> Self:
-        """Return the options of a call: those of an object of this class, replaced by name.
-
-        `example` is an option by name, such as ``n_frames=30``, for the error message.
-        """
+        """Return a call's options, an object's replaced by name; `example` is one for messages."""
         if options is None:
             return cls(**given)
         if not isinstance(options, cls):

@@ -25,10 +25,7 @@ NAME = re.compile(re.escape(PREFIX) + "([0-9]+)-([0-9a-f]{8})-[a-z0-9_]{8}")
 
 @contextmanager
 def staging_folder(home: Path) -> Iterator[Path]:
-    """Make a folder in `home` for the block, and remove it with its contents afterwards.
-
-    Folders that killed processes left there are removed first.
-    """
+    """Make a folder in `home` for the block, after those that killed processes left are removed."""
     clear_leftovers(home)
     folder = None
     try:

@@ -210,10 +210,7 @@ def _plan(
     log_threshold: float | None,
     operations: Operations,
 ) -> tuple[Plan | None, list[int], float]:
-    """Return the plan between blocks if it may be built, its pairs in each part, and its seconds.
-
-    The plan is None if its pairs would take more than `max_bytes`.
-    """
+    """Return the plan (None above `max_bytes`), its pairs in each part, and its seconds."""
     began = time.perf_counter()
     plans: list[Plan] = []
     pairs: list[int] = []

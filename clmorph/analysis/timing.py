@@ -72,10 +72,7 @@ def frame_seconds(
 def fill_seconds(
     source: Measure, target: Measure, potentials: Potentials, pairs: int, operations: Operations
 ) -> float:
-    """Estimate the time of writing the pairs of a plan after they are counted.
-
-    Some rows are written, and the time is assumed to be proportional to the number of pairs.
-    """
+    """Estimate the time of writing a plan's counted pairs, in proportion to that of some rows."""
     whole = as_pair(source, target)
     count = max(1, round(SAMPLED_PAIRS * len(source) / max(1, pairs)))
     massive = np.flatnonzero(source.weights > 0)
@@ -154,11 +151,7 @@ def _images(source: Measure, target: Measure) -> list[Any]:
 
 
 def _thinned(plan: Plan, count: int) -> Plan:
-    """Return a plan of at most `count` pairs, drawn from this one by their mass.
-
-    If pairs were drawn uniformly, light ones would represent all. Pixels that the plan covers well
-    would be torn, and rendering would take longer.
-    """
+    """Return a plan of at most `count` pairs, drawn by mass: light ones must not represent all."""
     if len(plan) <= count:
         return plan
     total = np.cumsum(plan.mass)

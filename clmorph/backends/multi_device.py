@@ -14,10 +14,7 @@ from clmorph.errors import ClmorphWarning, InputError
 
 
 class MultiDevice:
-    """The operations of the first of several devices, and the others to share work with.
-
-    Everything that is no attribute of this class is the first device's.
-    """
+    """The first of several devices, with all its attributes, and others to share work with."""
 
     def __init__(self, members: Sequence[Operations]) -> None:
         self.members = list(members)
@@ -41,10 +38,7 @@ _lock = threading.Lock()
 
 
 def open_several(members: Sequence[Operations], names: Sequence[Any]) -> Operations:
-    """Return one backend of several devices, the same object for the same members.
-
-    A single member is returned itself. In errors members have the `names` that a user gave.
-    """
+    """Return one backend of several devices, the same for the same; errors have `names`."""
     if not members:
         raise InputError("backend=[]: expected at least one device, such as ['0:0', '0:1']")
     for number, (member, name) in enumerate(zip(members, names, strict=True)):

@@ -33,10 +33,7 @@ def check_client(client: Any) -> Any:
 
 @contextmanager
 def on_workers(client: Any, tasks: list[Any], remedy: str) -> Iterator[None]:
-    """Report what ends workers as DeviceError, which names a remedy, and cancel the tasks.
-
-    `tasks` are futures; the list is filled inside the block.
-    """
+    """Report what ends workers as DeviceError with a remedy, and cancel `tasks` in the end."""
     try:
         yield
     except ClmorphError:

@@ -76,10 +76,7 @@ class Defaults:
 
 
 def read_jobs(place: str, defaults: Defaults) -> list[Job]:
-    """Return the jobs of a CSV or JSON file; FileError names the line or entry that is wrong.
-
-    Pictures are relative to the file's folder, outputs to the folder of outputs.
-    """
+    """Return the jobs of a CSV or JSON file, which pictures are relative to, or raise FileError."""
     ending = name_of(place).rpartition(".")[2].lower()
     if ending not in ("csv", "json"):
         raise InputError(f"{place}: expected a table of jobs: .csv or .json")
@@ -239,11 +236,7 @@ def _made(
 
 
 def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> list[Job]:
-    """Return the jobs between the pictures of a folder, in the order of their names.
-
-    In a `chain` each picture becomes the next one only; else all pairs are taken, one way. `ending`
-    is that of outputs, such as ".gif".
-    """
+    """Return jobs between a folder's pictures by name: all pairs, one way, or a `chain`."""
     try:
         found = sorted(Path(folder).iterdir())
     except OSError as error:
@@ -299,11 +292,7 @@ _TUPLE = f"({', '.join(COLUMNS)})"
 
 
 def checked(jobs: list[Job], folder: str | None = None) -> list[Job]:
-    """Return jobs, after a check that no output replaces another output or a picture.
-
-    Links are followed, and two names of one file are recognized. No output may replace the index
-    and the journal of `folder` either.
-    """
+    """Return jobs, none of whose outputs replaces another, a picture or a file of the batch."""
     read = {file_identity(place) for job in jobs for place in job.read}
     own = () if folder is None else (INDEX, JOURNAL)
     reserved = {file_identity(resolved(name, folder or "")) for name in own}

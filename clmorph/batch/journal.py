@@ -16,7 +16,7 @@ from typing import Any, Self
 from clmorph._shared.printable import reason_of
 from clmorph._shared.version import __version__
 from clmorph.batch.jobs import Job
-from clmorph.batch.places import JOURNAL, exists, is_remote, read_if_any, resolved, stamp
+from clmorph.batch.places import JOURNAL, exists, is_remote, read_bytes, resolved, stamp
 from clmorph.errors import InputError, OutputError
 
 #: The states of a record, and its entries that are texts.
@@ -28,11 +28,7 @@ FAR = 1 << 40
 
 
 def identity(job: Job, device: str) -> str:
-    """Return a digest of all that decides the bytes of a job's output.
-
-    Those are the options, the files that are read by size and time, the device as it was asked for,
-    and the version of clmorph.
-    """
+    """Return a digest of what decides an output: options, files read, device asked for, version."""
     beside = {kind: [[place, stamp(place)] for place in two] for kind, two in job.beside.items()}
     parts = [
         job.source, job.target, stamp(job.source), stamp(job.target), beside,
@@ -62,7 +58,7 @@ class Journal:
         self.place, self.records = resolved(JOURNAL, folder), dict[str, dict[str, Any]]()
         self._file: Any = None if is_remote(self.place) else self._opened(folder)
         self._written = time.monotonic()
-        text = read_if_any(self.place)
+        text = read_bytes(self.place, missing=b"")
         for line in text.split(b"\n"):
             # The last line of a run that was killed can be incomplete.
             with suppress(ValueError, TypeError, KeyError):
@@ -97,11 +93,7 @@ class Journal:
         return file
 
     def missing(self, jobs: list[Job], device: str, redo: bool) -> list[tuple[Job, str]]:
-        """Return the jobs that are still to be done, with their identities.
-
-        With `redo` jobs are done again whose options, pictures or device have changed; without it
-        such jobs raise InputError, so that outputs of two kinds do not mix.
-        """
+        """Return jobs to be done and their identities; changed ones need `redo` (InputError)."""
         left, changed = [], []
         for job in jobs:
             key = identity(job, device)

@@ -109,27 +109,16 @@ def local_output(place: str) -> Iterator[Path]:
             raise OutputError(f"{place}: cannot be written ({reason_of(error)})") from None
 
 
-def read_bytes(place: str) -> bytes:
-    """Return the content of a file, or raise FileError."""
+def read_bytes(place: str, missing: bytes | None = None) -> bytes:
+    """Return the content of a file, or `missing` if there is none, or raise FileError."""
     try:
         if not is_remote(place):
             return Path(place).read_bytes()
         system, path = _system(place)
         return system.cat_file(path)
-    except Exception as error:
-        raise FileError(f"{place}: cannot be read ({reason_of(error)})") from None
-
-
-def read_if_any(place: str) -> bytes:
-    """Return the content of a file; nothing if there is none."""
-    try:
-        if not is_remote(place):
-            return Path(place).read_bytes()
-        system, path = _system(place)
-        return system.cat_file(path)
-    except FileNotFoundError:
-        return b""
     except Exception as error:  # file systems raise exceptions of any class
+        if missing is not None and isinstance(error, FileNotFoundError):
+            return missing
         raise FileError(f"{place}: cannot be read ({reason_of(error)})") from None
 
 

@@ -109,10 +109,7 @@ def _choose(spec: str | None, every: bool, even_wrong: bool = False) -> list[Dev
 
 
 def _choose_any(spec: str | None, every: bool) -> list[Device]:
-    """Return the device that the user chose, or every device; unusable ones if no other is meant.
-
-    The tuning of a device may be the reason why it is unusable.
-    """
+    """Return the chosen device, or all: unusable ones too, as their tuning may be the reason."""
     if every:
         return list(_find()) or _choose(spec, every)
     try:

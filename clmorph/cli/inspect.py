@@ -33,10 +33,7 @@ from clmorph.pipeline.presets import AUTO
 
 
 def run_inspect(images: Sequence[Path], line: Mapping[str, Any], given: dict[str, Any]) -> None:
-    """Solve the transport between two pictures, print its statistics, and optionally draw it.
-
-    `line` has the arguments of the command line, and `given` the options of the morph among them.
-    """
+    """Print the statistics of a transport, and draw it; `given` are the options in `line`."""
     output, preset = line["output"], line["preset"]
     labels, features = line["labels"] or (), line["features"] or ()
     max_pixels = MAX_PIXELS if line["max_pixels"] is None else line["max_pixels"]

@@ -23,10 +23,7 @@ from clmorph.pipeline.recolor import check_for_picture, feathered, recolored
 
 
 def run_recolor(request: Request, size: int | None) -> None:
-    """Recolor the photo, write the output files, and print a summary.
-
-    Tables of colors have `size` nodes along an axis, None for what is usual for the format.
-    """
+    """Recolor the photo, write files and a summary; tables have `size` nodes, None: as usual."""
     options = request.options
     request.check_files()
     places_of_clips = map(is_clip_place, request.outputs, request.formats())

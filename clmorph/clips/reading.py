@@ -166,10 +166,7 @@ class Clip:
         return self.tags.scaler_matrix(self._coded[1])
 
     def parts(self) -> Iterator[Frame | Sound]:
-        """Yield frames and packets of sound in the order of the file, once.
-
-        FileError is raised where the file is damaged, or ends before its time.
-        """
+        """Yield frames and packets of sound in order, once; FileError where the file is damaged."""
         while self._next is not None:
             frame, time, sounds = self._next
             yield from map(Sound, sounds)

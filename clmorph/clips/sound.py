@@ -19,10 +19,7 @@ Samples = NDArray[np.float32]
 
 
 class SoundTrack:
-    """Stereo samples of the first sound of a clip, from the time of its first frame on.
-
-    A context manager, which closes the file. `silent` says that the clip has no sound.
-    """
+    """Stereo samples of a clip's first sound from its first frame on; `silent` if it has none."""
 
     def __init__(self, path: Path) -> None:
         import av

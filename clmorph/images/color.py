@@ -56,10 +56,7 @@ def to_space(colors: ArrayLike, space: str) -> Array:
 
 
 def from_space(coordinates: ArrayLike, space: str) -> Array:
-    """Convert coordinates (..., 3) of a color space to sRGB, the inverse of `to_space`.
-
-    It is clipped to [0, 1], because a path between two colors can leave the sRGB gamut.
-    """
+    """Convert coordinates (..., 3) of a color space to sRGB, clipped: paths can leave the gamut."""
     check_choice("color space", space, COLOR_SPACES)
     convert, scale = _CONVERSIONS[space][1], _scale(space)
 

@@ -42,10 +42,7 @@ def auto_sigma(image: Array) -> float:
 
 
 def is_pixel_art(image: Array) -> bool:
-    """Return whether an image is a sprite: small with few colors, or made of blocks.
-
-    Opacity and the colors of invisible pixels are ignored.
-    """
+    """Return whether visible colors are a sprite: small with few of them, or made of blocks."""
     return _block_side(_visible(image)) > 1 or has_few_colors(image)
 
 

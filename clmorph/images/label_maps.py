@@ -60,10 +60,7 @@ def owners(shape: tuple[int, int], reduced: tuple[int, int]) -> IntArray:
 
 
 def reduced_labels(labels: IntArray, shape: tuple[int, int]) -> IntArray:
-    """Return a label image (H, W) at a smaller size: the most frequent label in each pixel.
-
-    Of equally frequent labels the least is taken, so every pixel has one label that is there.
-    """
+    """Return labels (H, W) at a smaller size: the most frequent, or least, one of each pixel."""
     if labels.shape == shape:
         return labels
     names, index = np.unique(labels, return_inverse=True)

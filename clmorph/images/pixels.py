@@ -102,10 +102,7 @@ def split_alpha(pixels: Array) -> tuple[Array, Array | None]:
 
 
 def block_size(image: AnyArray) -> int:
-    """Return the largest k if an image consists of k x k blocks of one color each, otherwise 1.
-
-    Colors of invisible pixels are ignored; an image of a single color has no blocks.
-    """
+    """Return the largest k if visible pixels are k x k blocks of several colors, otherwise 1."""
     places = [*_changes(image, 0), *_changes(image, 1)]
     return int(np.gcd.reduce([*image.shape[:2], *places])) if places else 1
 

@@ -23,11 +23,7 @@ class Checked(list[WeightedPoints]):
 
 
 def as_many(name: str, value: Any) -> list[Any]:
-    """Return measures, or what is given for each of them.
-
-    Stacked arrays, a tuple of weights (B, N) and points (B, N, D) or (B, N), become a `Checked`
-    list.
-    """
+    """Return measures, or what is given for each; stacked arrays become a `Checked` list."""
     if isinstance(value, tuple) and len(value) == 2 and all(map(_is_array, value)):
         return _unstacked(name, *value)
     foreign = isinstance(value, str | bytes | Mapping | Measure | WeightedPoints | Grid)

@@ -45,11 +45,7 @@ class PixelBlocks:
 
 
 def block_side(shape: tuple[int, int], size: int | None) -> int:
-    """Return the side in pixels of the blocks in which an image is solved.
-
-    It is the smallest power of two that gives at most `size` blocks along the longer side; 1 if the
-    image is no larger, or the size is None.
-    """
+    """Return the least power of two of pixels that gives at most `size` blocks a side."""
     side = 1
     while size is not None and -(-max(shape) // side) > size:
         side *= 2

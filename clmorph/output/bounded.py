@@ -55,11 +55,7 @@ class BoundedFile(io.FileIO):
 
 
 def from_text(text: str | bytes) -> Any:
-    """Return the value of a JSON text, or raise ValueError or RecursionError.
-
-    A text is refused if it is longer than `MAX_TEXT`, has a key twice, or holds a number that is
-    not finite.
-    """
+    """Return a JSON text's value; ValueError if it is long or odd, or RecursionError."""
     if len(text) > MAX_TEXT:
         raise ValueError(f"its parameters have more than {MAX_TEXT} characters")
     return json.loads(

@@ -108,10 +108,7 @@ class Framing:
         return color if isinstance(color, tuple) else (color,) * 3
 
     def __call__(self, frame: NDArray[np.uint8]) -> "Image":
-        """Return a frame (H, W, 3 or 4) centered on the canvas, as RGB, or RGBA if `clear`.
-
-        Pixel art is enlarged by whole factors, so that its pixels stay squares of one size.
-        """
+        """Return a frame (H, W, 3 or 4) centered on the canvas; pixel art by whole factors."""
         from PIL import Image
 
         picture = self._grounded(self._scaled(Image.fromarray(frame)))

@@ -112,10 +112,7 @@ def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:
 
 
 def held_frames(n_images: int, n_frames: int) -> NDArray[np.bool_]:
-    """Return which frames of a chain of morphs, each of `n_frames`, are pictures themselves.
-
-    The result has (n_images - 1) (n_frames - 1) + 1 entries, because neighbors share a frame.
-    """
+    """Return which frames of a chain, neighbors sharing one, are pictures: (n,) array of bool."""
     holds = np.zeros((n_images - 1) * (n_frames - 1) + 1, bool)
     holds[:: n_frames - 1] = True
     return holds

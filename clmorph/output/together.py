@@ -10,11 +10,7 @@ def write_together(
     writers: Sequence[tuple[Path, Path, Callable[[Path], None]]],
     texts: Mapping[Path, str] | None = None,
 ) -> None:
-    """Write several files, and `texts` by their paths, all of them whole or none.
-
-    A writer is (place of a file, path as the user gave it, function that writes to a temporary
-    path).
-    """
+    """Write files (place, path as given, writer), and `texts` by path, all whole or none."""
     beside = dict(texts or {})
     places = [*(place for place, _, _ in writers), *beside]
     check_apart(places)

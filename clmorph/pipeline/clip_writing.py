@@ -92,10 +92,7 @@ def _write(
 def _mixed(
     tracks: Sequence[SoundTrack | None], before: float, share: float, count: int
 ) -> NDArray[np.float32]:
-    """Return the next samples while the share of the second sound goes from one value to another.
-
-    The second sound begins with the transition.
-    """
+    """Return the next samples while the second sound, which begins there, takes over."""
     second = np.linspace(before, share, count, endpoint=False, dtype=np.float32)
     found = np.zeros((2, count), np.float32)
     first_track, second_track = tracks

@@ -128,10 +128,7 @@ def recolor_clip(
 
 
 class ClipRecoloring:
-    """A clip, and the table by which its frames are recolored; the parameters are checked ones.
-
-    `like` is a picture, or a table.
-    """
+    """A clip and the table that recolors its frames, like a picture or a table; all are checked."""
 
     def __init__(
         self,

@@ -101,10 +101,7 @@ def estimate(
 
 
 def most_particles(limit: float, none: Memory, alpha: bool) -> float:
-    """Return the number of particles with which a morph takes `limit` bytes, negative if none fit.
-
-    `none` is the estimate without particles.
-    """
+    """Return the particles with which a morph takes `limit` bytes; `none` is it without any."""
     on_host = PARTICLE + (ALPHA if alpha else 0)
     each = (on_host + DRAWN,) if none.shared else (on_host, DRAWN)
     return min((limit - need) / size for need, size in zip(none.needs, each, strict=True))

@@ -52,6 +52,11 @@ PAGE = {
 #: Media types of what the page shows.
 MEDIA = {".html": "text/html", ".png": "image/png"}
 GONE = "this tab has been closed; load the page again"
+NOTHING = "there is no such thing here"
+
+
+class MissingError(Exception):
+    """What is asked for is not there; the request is answered by its line."""
 
 
 @dataclass
@@ -125,6 +130,8 @@ class Studio:
                 line = printable(self.line(error), MESSAGE)
             except ClientDisconnect:
                 line = "the page has gone"
+            except MissingError as error:
+                return JSONResponse({"line": error.args[0]}, 404)
             except MemoryError:
                 line = "not enough memory; use a smaller picture"
             return JSONResponse({"line": line}, 400)
@@ -137,7 +144,7 @@ class Studio:
         async def answer(request: Request) -> Response:
             tab = self.tabs.find(request.path_params["tab"])
             if tab is None:
-                return JSONResponse({"line": GONE}, 404)
+                raise MissingError(GONE)
             return await action(request, tab)
 
         return answer
@@ -215,21 +222,16 @@ class Studio:
 
     async def picture(self, request: Request, tab: Tab) -> Response:
         """Return a picture's file as it was given."""
-        found = _find(tab, request)
-        if found is None:
-            return _missing()
-        return _attached(found.path, found.path.name)
+        path = _find(tab, request).path
+        return _attached(path, path.name)
 
     async def shown(self, request: Request, tab: Tab) -> Response:
         """Return a picture as the page shows it."""
-        found = _find(tab, request)
-        return _missing() if found is None else FileResponse(f"{found.path}.png-shown")
+        return FileResponse(f"{_find(tab, request).path}.png-shown")
 
     async def large(self, request: Request, tab: Tab) -> Response:
         """Return a picture as the page enlarges it."""
         found = _find(tab, request)
-        if found is None:
-            return _missing()
         path = Path(f"{found.path}.png-large")
         if not path.exists():
             await run_in_threadpool(_show, found.pixels, path, LARGE_SIDE)
@@ -243,8 +245,8 @@ class Studio:
     async def paint(self, request: Request, tab: Tab) -> Response:
         """Take the painted regions of a picture, a PNG; without a body there are none any more."""
         found, kind = _find(tab, request), request.path_params["kind"]
-        if found is None or kind not in PAINTED:
-            return _missing()
+        if kind not in PAINTED:
+            raise MissingError(NOTHING)
         body = await _body(request, MAX_UPLOAD)
         if not body:
             found.painted.pop(kind, None)
@@ -261,9 +263,10 @@ class Studio:
 
     async def painted(self, request: Request, tab: Tab) -> Response:
         """Return the painted regions of a picture."""
-        found = _find(tab, request)
-        path = None if found is None else found.painted.get(request.path_params["kind"])
-        return _missing() if path is None else _attached(path, path.name)
+        path = _find(tab, request).painted.get(request.path_params["kind"])
+        if path is None:
+            raise MissingError(NOTHING)
+        return _attached(path, path.name)
 
     async def swap(self, request: Request, tab: Tab) -> Response:
         """Turn the order of the pictures round."""
@@ -329,7 +332,7 @@ class Studio:
         """Return a viewer's page, which stands in a frame of the studio."""
         path = tab.views.get(request.path_params["name"])
         if path is None or not path.exists():
-            return _missing()
+            raise MissingError(NOTHING)
         return FileResponse(
             path, media_type=MEDIA[path.suffix], headers={"Content-Security-Policy": FRAMED}
         )
@@ -338,12 +341,12 @@ class Studio:
         """Write a file of the last run, and return it."""
         ending, result = request.path_params["ending"], tab.result
         if all(ending not in kind.downloads for kind in KINDS.values()):
-            return _missing()
+            raise MissingError(NOTHING)
         if result is None:
             raise InputError("there is nothing to download yet: run it first")
         kind = result.choices.kind
         if ending not in kind.downloads:
-            return _missing()
+            raise MissingError(NOTHING)
         path = tab.folder / f"{kind.output}-{result.number}.{ending}"
         write = partial(work.write_file, result, path, work.checking)
         return await self._written(tab, path, f"{kind.output}.{ending}", write)
@@ -419,17 +422,15 @@ def _show(pixels: Any, path: Path, side: int) -> None:
     Image.fromarray(np.ascontiguousarray(small)).save(path, "PNG")
 
 
-def _find(tab: Tab, request: Request) -> Shown | None:
-    key = request.path_params["key"]
-    return next((each for each in tab.pictures if each.key == key), None)
+def _find(tab: Tab, request: Request) -> Shown:
+    for each in tab.pictures:
+        if each.key == request.path_params["key"]:
+            return each
+    raise MissingError(NOTHING)
 
 
 def _pictures(tab: Tab) -> Response:
     return JSONResponse({"pictures": [picture.known for picture in tab.pictures]})
-
-
-def _missing() -> Response:
-    return JSONResponse({"line": "there is no such thing here"}, 404)
 
 
 def _attached(path: Path, name: str) -> Response:

@@ -92,11 +92,7 @@ class Tab:
             queue.put_nowait(message)
 
     def place(self, name: str) -> Path:
-        """Return the path of a new picture in a folder of its own.
-
-        Its name differs from those of other pictures even without the ending, because the copied
-        command names all of them, and the files with their painted regions, in one folder.
-        """
+        """Return a path for a new picture, whose name is new without its ending too."""
         key = secrets.token_hex(8)
         folder = self.folder / key
         folder.mkdir()

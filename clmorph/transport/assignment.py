@@ -106,10 +106,7 @@ def merged(first: Indices, second: Indices, source: Array, target: Array) -> Ind
 
 
 def partitioned(source: Array, target: Array, rng: np.random.Generator) -> Indices:
-    """Return the permutation of a binary space partition of both clouds.
-
-    source, target: (N, D).
-    """
+    """Return the permutation of a binary space partition of source and target, (N, D) each."""
     n = len(source)
     rows, columns = np.arange(n), np.arange(n)
     for part in _parts(n, 1, 2):

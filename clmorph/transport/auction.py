@@ -69,10 +69,7 @@ class _Table:
 
 
 class Auction:
-    """The state of an auction: candidates, prices and owners.
-
-    costs: Costs; g: (M,) prices at which it begins; rows, columns: (K,) candidates.
-    """
+    """An auction: `costs`, prices g, (M,), candidates (rows and columns, (K,)), and owners."""
 
     def __init__(self, costs: Costs, g: Array, rows: Indices, columns: Indices) -> None:
         self.costs, self.g = costs, g.copy()

@@ -245,10 +245,7 @@ def _infeasibility(rows: _Bounded, columns: _Bounded, epsilon: float) -> float:
 def marginal(
     weights: Array, log_weights: Array, potential: Array, softmin: Array, epsilon: float
 ) -> Array:
-    """Return the marginal (pi 1)_i = a_i exp((f_i - T(g)_i) / epsilon) (math: plan, Eq. 2).
-
-    It is computed from its logarithm, because a_i alone can underflow.
-    """
+    """Return (pi 1)_i = a_i exp((f_i - T(g)_i) / epsilon), as a_i can underflow (math: plan)."""
     with np.errstate(invalid="ignore"):
         exponent = np.minimum((potential - softmin) / epsilon + log_weights, MAX_EXPONENT)
     return np.where(weights > 0, np.exp(exponent), 0.0)

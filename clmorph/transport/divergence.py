@@ -308,10 +308,7 @@ def further_tol(found: Divergence, tol: float) -> float | None:
 
 
 def better(before: Potentials, after: Potentials, tol: float) -> Potentials:
-    """Return those of two potentials whose values are nearer, with the status that `tol` implies.
-
-    before, after: of one problem, the latter solved to a smaller residual than `tol`.
-    """
+    """Return the potentials with the nearer values, `after` being solved below `tol`."""
     if after.gap >= before.gap:
         return before
     if after.converged or after.residual > tol:

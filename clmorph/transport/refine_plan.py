@@ -185,10 +185,7 @@ def _at_place(blocks: PixelBlocks, owner: IntArray, place: IntArray, finest: int
 
 
 def _with_mass(blocks: PixelBlocks) -> IntArray:
-    """Return each pixel, or in place of one without mass the next one of its block that has some.
-
-    Blocks without mass keep their pixels.
-    """
+    """Return each pixel, or for one without mass the next one of its block that has some."""
     count, massive = len(blocks.fine), blocks.fine.weights > 0
     if massive.all():
         return np.arange(count)

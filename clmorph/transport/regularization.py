@@ -46,11 +46,7 @@ class Regularization(NamedTuple):
 def regularization(
     blur: Any = None, reach: Any = None, epsilon: Any = None, rho: Any = None
 ) -> Regularization:
-    """Check either blur or epsilon = blur^2, and either reach or rho = reach^2 (paper, 2.1).
-
-    Without both, the blur is `SolverOptions.blur`. A rho that is infinite is balanced, as is a
-    reach of None.
-    """
+    """Check blur or epsilon = blur^2, and reach or rho = reach^2; None is usual, or balanced."""
     for value in (blur, reach):
         # As other libraries are called; a pair of reaches is no array of measures.
         if len(getattr(value, "shape", ())) > 1 or (value is blur and _has_axes(blur)):

@@ -220,12 +220,7 @@ def _is_single(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
 def together(
     pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float], devices: int = 1
 ) -> list[list[int]]:
-    """Return the numbers of the problems that are solved together, in lists for each device.
-
-    All of a list are in one dimension, and all or none are of a measure with itself.
-
-    pairs: sequence of (source, target); rho: (rho_source, rho_target).
-    """
+    """Return the problems solved together, of one dimension and kind, in lists for devices."""
     lists: list[list[int]] = []
     #: The list of each kind that is not full, and its numbers of points.
     open_lists: dict[tuple[int, bool], tuple[list[int], list[int]]] = {}

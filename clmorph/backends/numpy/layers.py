@@ -76,10 +76,7 @@ def follow_paths(
 
 
 def with_steepness(field: Float32) -> Float32:
-    """Return a field (h, w, 2), and a bound of the norm of its slope at each point: (h, w, 3).
-
-    Between points the linear interpolation of that bound is a bound, too.
-    """
+    """Return a field (h, w, 2) and a bound of its slope's norm, also in between: (h, w, 3)."""
     steep = np.zeros(field.shape[:2])
     for axis in (0, 1):
         apart = np.linalg.norm(np.diff(field.astype(float), axis=axis), axis=2)

@@ -29,10 +29,7 @@ POINTS = np.array([[0.28, 0.36], [0.72, 0.36], [0.5, 0.58], [0.32, 0.82], [0.68,
 
 
 def cascade_faces(copy: Copy) -> list[Array]:
-    """Return points of each face, the largest face first: (5, 2) arrays in pixels of the copy.
-
-    The points lie at fixed places of the face's box: they tell its place and its size.
-    """
+    """Return points of each face's box, the largest first: (5, 2) arrays in pixels of the copy."""
     kept: list[list[Array]] = []
     for number, found in enumerate(_passes(copy.pixels)):
         if number == 0:

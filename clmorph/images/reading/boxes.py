@@ -8,10 +8,7 @@ _HOLDERS = {b"jp2h": 0, b"meta": 4, b"iprp": 0, b"ipco": 0}
 
 
 def boxes(data: bytes, start: int = 0, end: int | None = None) -> Iterator[tuple[bytes, bytes]]:
-    """Yield the kinds and contents of the boxes that describe a picture, until one is damaged.
-
-    Boxes inside of others are looked through too. `data` is the whole file.
-    """
+    """Yield kinds and contents of boxes that describe a picture, also inner ones, to a damage."""
     end = len(data) if end is None else end
     while start + 8 <= end:
         size, kind = int.from_bytes(data[start : start + 4], "big"), data[start + 4 : start + 8]

@@ -89,10 +89,7 @@ def _is_animated(picture: Any) -> bool:
 
 
 def _split(picture: Any) -> tuple[Any, AnyArray | None]:
-    """Return the colors of a Pillow image, and its opacity or None.
-
-    The colors are an image of mode L, RGB, CMYK or LAB, or an array of 16-bit or float gray.
-    """
+    """Return an image's colors (mode L, RGB, CMYK, LAB, or deep gray), and its opacity or None."""
     tile = next(map(raw_mode, tiles_of(picture)), "")
     picture.load()
     transparent = picture.info.get("transparency")

@@ -22,10 +22,7 @@ _SYCC = b"\1\0\0\0\0\0\x12"
 
 
 def own_samples(picture: Any, file: Path) -> AnyArray | None:
-    """Decode what Pillow would reduce to 8 bits, or decode slowly; None where this does not apply.
-
-    The array (H, W) or (H, W, 2 to 4) is uint8 or uint16; the dtype's largest number is full light.
-    """
+    """Return uint8 or uint16 of what Pillow would reduce to 8 bits or decode slowly; else None."""
     if picture.format not in (*_BITS, "QOI", "DDS"):
         return None
     if picture.format == "PNG" and not is_reduced(picture):  # most files, some of them large

@@ -124,11 +124,7 @@ def _values(
 
 
 def first_full_page(stream: IO[bytes]) -> tuple[Directory, int, bool]:
-    """Return the first picture of a TIFF that is neither a reduced copy nor a mask of another.
-
-    Its number counts from 0; the last value tells whether another full picture follows among the
-    first `MAX_DIRECTORIES`.
-    """
+    """Return the first full picture of a TIFF, its number, and whether another full one follows."""
     found: list[tuple[Directory, int]] = []
     first = read_directory(stream)
     directory, seen = first, {0}

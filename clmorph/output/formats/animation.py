@@ -29,10 +29,7 @@ def timed_frames(recording: Recording, per_second: int) -> list[tuple[int, int]]
 
 
 def box_of(where: NDArray[np.bool_]) -> Box:
-    """Return the smallest box around the pixels that are True in an (H, W) array.
-
-    If none is, the box has one pixel, because files cannot hold empty frames.
-    """
+    """Return the smallest box around the True pixels of (H, W), of one pixel at least."""
     rows, columns = np.flatnonzero(where.any(axis=1)), np.flatnonzero(where.any(axis=0))
     if len(rows) == 0:
         return 0, 0, 1, 1

@@ -45,10 +45,7 @@ class Format:
     fastest: float = math.inf
 
     def matches(self, start: bytes) -> bool:
-        """Return whether a file that starts with these bytes has this format.
-
-        A text format may start with white space and is matched without regard to case.
-        """
+        """Return whether a file that starts with these bytes has this format; text in any case."""
         text = start.lstrip().lower()
         return any(
             start.startswith(mark, offset) or text.startswith(mark, offset)

@@ -105,10 +105,7 @@ def _still(picture: "Image", duration: int, options: dict[str, Any]) -> bytes:
 
 
 def _palette(recording: Recording, framing: Framing) -> "Image":
-    """Return an image whose palette suits all frames, and the bars beside them.
-
-    The colors of pixel art are kept exactly, if they leave enough entries for mixtures.
-    """
+    """Return an image with a palette for all frames and bars, exact for pixel art if it can."""
     from PIL import Image
 
     pixels = sum(height * width for height, width, _ in recording.shapes)

@@ -97,10 +97,7 @@ def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
 
 
 def arrow_field(morph: FrameSequence, most: int = ARROWS) -> Field | None:
-    """Return the mean displacement of the mass of each place of the source; None if no mass moves.
-
-    The longer side has at most `most` places; pixels of one place share an arrow.
-    """
+    """Return the mean moves of at most `most` places a side of the source; None if none moves."""
     source, plan = morph.source, morph.plan
     if isinstance(plan, Plan):
         ends, _ = plan.mean_destinations(source.positions, morph.target.positions)

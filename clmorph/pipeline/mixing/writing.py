@@ -88,10 +88,7 @@ def write_film(
     texts: Mapping[Path, str] | None = None,
     progress: StageProgress | None = None,
 ) -> tuple[int, float]:
-    """Write the film of a path to checked files, and further texts: all of them whole, or none.
-
-    The result is the number of frames and the seconds that one round takes.
-    """
+    """Write a path's film and texts, whole or none; return its frames and a round's seconds."""
     report = progress or (lambda stage, share: None)
     motion = motion_of(options, held_frames(len(legs) + 1, options.n_frames))
     style = FrameStyle(**options.of(FrameStyle))

@@ -144,10 +144,7 @@ def some(problem: Problem, problems: IntArray, uploaded: bool = True) -> Problem
 
 
 def one_of(problem: Problem, number: int, roundoffs: Array) -> Problem:
-    """Return one of many problems, or the only one, as its last softmins with these bounds have it.
-
-    One of many has no clouds, of which certificates need none.
-    """
+    """Return one problem, with the bounds of its last softmins; one of many has no clouds."""
     if not problem.of_rows.shape:
         return problem
     a, b = (

@@ -82,10 +82,7 @@ def clouds_of(
 def row_softmin(
     source: AnyMeasure, target: AnyMeasure, potentials: Potentials, backend: Backend
 ) -> tuple[Operations, tuple[Any, Any], Softmin, Array]:
-    """Return a backend, both clouds, the operator T of a plan's rows, and T(g), (N,).
-
-    Potentials that are unusable, or belong to other measures, are refused.
-    """
+    """Return a backend, both clouds, T of a plan's rows, and T(g), (N,), of checked potentials."""
     check_potentials("potentials", potentials, (len(source), len(target)))
     operations = get_backend(backend)
     clouds = clouds_of(operations, (source, target), potentials)
@@ -136,10 +133,7 @@ def row_projection(
     pair: tuple[AnyMeasure, AnyMeasure],
     potentials: Potentials,
 ) -> tuple[Array, Array]:
-    """Return T(g), (N,), of a plan's rows, and the mean of each row's destinations, (N, D).
-
-    Where the solver left out most of the pairs, another pass chooses the near ones before.
-    """
+    """Return T(g), (N,), and mean destinations, (N, D), over near pairs if they are few."""
     check_potentials("potentials", potentials, (len(pair[0]), len(pair[1])))
     if are_grids(*pair):
         of_grids: Any = GridSoftmin(operations, cast(Grid, pair[0]), cast(Grid, pair[1]))

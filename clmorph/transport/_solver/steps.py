@@ -76,10 +76,7 @@ def take_step(
     problem: Problem, side: int, old: Array, softmin: Array, epsilon: float, enough: Any = 0.0,
     before: Any = None,
 ) -> Step:  # fmt: skip
-    """Maximize the dual over f (side 0), or g (1), and a shift of the old potential; its T given.
-
-    See `Problem.half_step` for `before`, and `Problem.dual` for `enough`.
-    """
+    """Maximize the dual over f (0) or g (1), and a shift of `old`; see `half_step` and `dual`."""
     new, old, softmin, log_mass = problem.half_step(side, old, softmin, epsilon, before)
     f, g = (new, old) if side == 0 else (old, new)
     closed = np.any(enough)
@@ -91,10 +88,7 @@ def take_step(
 
 
 class HostSteps:
-    """Steps whose arithmetic NumPy does; see `Steps`.
-
-    ``cl_kernels/half_steps.cl`` and ``sparse_half_steps.cl`` do the same on a device.
-    """
+    """Steps whose arithmetic NumPy does, as ``half_steps.cl`` and ``sparse_half_steps.cl`` do."""
 
     ahead = 0
 
