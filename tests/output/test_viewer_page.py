@@ -639,7 +639,7 @@ def test_a_broken_frame_is_told(rng, show):
 
 def test_one_frame(rng, show):
     frames = noise(rng, 1)
-    opened = show(Scene(frames, [0.0], curves=[Curve("a", "b", [1])]))
+    opened = show(Scene(frames, np.zeros(1), curves=[Curve("a", "b", [1])]))
     assert opened.locator("#play").is_disabled()
     opened.evaluate("clmorph.play()")
     opened.keyboard.press("ArrowRight")

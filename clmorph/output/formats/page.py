@@ -1,14 +1,13 @@
 """``.html``: a page that plays the morph without a network."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.items import MadeItems
 from clmorph._shared.progress import Report, Share
 from clmorph.output.formats.format import Format
 from clmorph.output.html import Curve, Field, Marks, Scene, read_parameters, write_page
@@ -22,8 +21,16 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     span = float(max(len(recording.morphs), 1))
     backwards = bool(recording.times[0] > recording.times[-1])
     fields = list(_fields(recording))
+    framing, count = recording.framing(style), len(recording)
+
+    def picture(index: int) -> NDArray[np.uint8]:
+        frame = recording.picture(index)
+        found = framing.unscaled(frame) if style.canvas == "dynamic" else framing(frame)
+        report(Share((index + 1) / count, f"{index + 1} of {count}"))
+        return np.asarray(found)
+
     scene = Scene(
-        frames=_Frames(recording, style, report),
+        frames=MadeItems(picture, count),
         times=span - recording.times if backwards else recording.times,
         fps=recording.motion.fps,
         hold=recording.motion.hold,
@@ -46,25 +53,6 @@ def _marks(recording: Recording, style: FrameStyle, backwards: bool) -> Marks | 
     if len(recording.morphs) != 1 or style.canvas != "dynamic":
         return None
     return marks_of(recording.morphs[0], backwards=backwards)
-
-
-class _Frames(Sequence[NDArray[np.uint8]]):
-    """Frames in a given style; each read reports the progress."""
-
-    def __init__(self, recording: Recording, style: FrameStyle, report: Report) -> None:
-        self._film, self._report = recording, report
-        self._framing = recording.framing(style)
-        self._scaled = style.canvas != "dynamic"
-
-    def __len__(self) -> int:
-        return len(self._film)
-
-    def __getitem__(self, index: Any) -> Any:
-        frame = self._film.picture(index)
-        picture = self._framing(frame) if self._scaled else self._framing.unscaled(frame)
-        done = index + 1
-        self._report(Share(done / len(self), f"{done} of {len(self)}"))
-        return np.asarray(picture)
 
 
 def _title(recording: Recording) -> str:

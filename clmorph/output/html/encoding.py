@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.threads import in_order
-from clmorph.errors import InputError, OutputError
+from clmorph.errors import OutputError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -66,27 +66,11 @@ class Encoder:
 
     def encode(self, frames: Iterable[NDArray[np.uint8]]) -> Iterator[Encoded]:
         """Yield frames (H, W, 3 or 4) of uint8 as texts; some ahead are compressed in threads."""
-        for picture, without_loss in in_order(self._first_try, self._checked(frames)):
-            yield self._within_share(picture, without_loss)
-
-    def _checked(self, frames: Iterable[NDArray[np.uint8]]) -> "Iterator[Image]":
         from PIL import Image
 
-        for number, frame in enumerate(frames):
-            if (
-                getattr(frame, "dtype", None) != np.uint8
-                or frame.ndim != 3
-                or frame.shape[2] not in (3, 4)
-                or 0 in frame.shape
-            ):
-                raise InputError(
-                    f"frame {number} is {_kind(frame)}: expected (H, W, 3) or (H, W, 4) uint8"
-                )
-            if number == self._count:
-                raise InputError(
-                    "there are more frames than times: expected one time for each frame"
-                )
-            yield Image.fromarray(np.ascontiguousarray(frame))
+        pictures = (Image.fromarray(np.ascontiguousarray(frame)) for frame in frames)
+        for picture, without_loss in in_order(self._first_try, pictures):
+            yield self._within_share(picture, without_loss)
 
     def _is_webp(self, picture: "Image") -> bool:
         return self._webp and max(picture.size) <= WEBP_SIDE
@@ -137,8 +121,3 @@ def _text(picture: "Image", form: str, options: dict[str, Any]) -> str:
     file = io.BytesIO()
     picture.save(file, form, **options)
     return base64.b64encode(file.getbuffer()).decode("ascii")
-
-
-def _kind(frame: object) -> str:
-    shape, dtype = getattr(frame, "shape", None), getattr(frame, "dtype", None)
-    return type(frame).__name__ if shape is None else f"{shape} {dtype}"

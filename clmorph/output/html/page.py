@@ -95,10 +95,6 @@ def _frames(scene: Scene, max_bytes: float) -> Iterator[str]:
     for encoded in encoder.encode(scene.frames):
         alpha = alpha or encoded.alpha
         yield f'<script type="{encoded.kind}" class="frame">{encoded.text}</script>\n'
-    if len(encoder.sizes) < len(scene.times):
-        raise InputError(
-            f"there are {len(encoder.sizes)} frames and {len(scene.times)} times: expected one each"
-        )
     notes = [printable(note, MESSAGE) for note in (*scene.notes, encoder.note) if note]
     known = {
         "times": _numbers(scene.times, 12),
