@@ -8,6 +8,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph.images.color import decode, encode
+from clmorph.images.reading.spaces import PRIMARIES
 
 #: Code points that tell nothing.
 UNKNOWN = (0, 2)
@@ -15,16 +16,8 @@ UNKNOWN = (0, 2)
 BT709, BT601, SRGB_CURVE, LIMITED, FULL = 1, 5, 13, 1, 2
 #: Rows from which on a clip that names no matrix is taken for BT.709, as players do.
 HIGH_DEFINITION = 720
-#: Chromaticities of red, green, blue and white, by the code point of primaries.
-_D65 = (0.3127, 0.3290)
-PRIMARIES = {
-    1: ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060), _D65),
-    5: ((0.640, 0.330), (0.290, 0.600), (0.150, 0.060), _D65),
-    6: ((0.630, 0.340), (0.310, 0.595), (0.155, 0.070), _D65),
-    7: ((0.630, 0.340), (0.310, 0.595), (0.155, 0.070), _D65),
-    9: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046), _D65),
-    12: ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060), _D65),
-}
+#: Code points of primaries that clips may have.
+KNOWN_PRIMARIES = (1, 5, 6, 7, 9, 12)
 #: Transfer curves that screens show as they show sRGB's: those of BT.709, BT.601 and BT.2020.
 LIKE_SRGB = (1, 6, 13, 14, 15)
 #: Exponents of the curves that are powers, and linear light.
@@ -50,7 +43,7 @@ class ColorTags(NamedTuple):
         known = (
             ("matrix", self.matrix, (*MATRICES, 0, 8)),
             ("transfer curve", self.transfer, (*LIKE_SRGB, *POWERS)),
-            ("primaries", self.primaries, tuple(PRIMARIES)),
+            ("primaries", self.primaries, KNOWN_PRIMARIES),
         )
         for name, value, values in known:
             if value not in (*values, *UNKNOWN):
@@ -97,6 +90,7 @@ def _between(source: int, target: int) -> Array:
 
 
 def _to_xyz(primaries: int) -> Array:
-    columns = [(x / y, 1.0, (1.0 - x - y) / y) for x, y in PRIMARIES[primaries]]
-    colors, white = np.array(columns[:3]).T, np.array(columns[3])
+    ends = np.reshape(PRIMARIES[primaries], (4, 2)).tolist()
+    white, *three = [np.array((x / y, 1.0, (1.0 - x - y) / y)) for x, y in ends]
+    colors = np.array(three).T
     return np.asarray(colors * np.linalg.solve(colors, white))

@@ -51,10 +51,9 @@ def with_features(
 ) -> tuple[Measure, Measure]:
     """Return measures of lifted images whose cost compares features, too.
 
-    The cost of a pair grows by |w (F_i - G_j)|^2 / 2, as it does by positions and colors. The
-    features F and G are (H, W, K) arrays of the size of their images, or larger ones, which are
-    reduced by their mean in each pixel. The weight w, one or K of them, is the image sides that a
-    feature of 1 is worth.
+    The cost of a pair grows by |w (F_i - G_j)|^2 / 2. Features F and G are (H, W, K) arrays of the
+    size of their images, or larger ones, reduced by their mean in each pixel; w, one or K weights,
+    is the image sides that a feature of 1 is worth.
     """
     if any(measure.has_metric_map for measure in measures):
         raise InputError(

@@ -93,9 +93,8 @@ def recorded(
 ) -> Iterator[Recording]:
     """Render morphs one after the other, each frame once, into a temporary file in `folder`.
 
-    Each morph begins with the picture that the one before ends with; only one is in memory at a
-    time. With `exact` frames are kept as floats, and with `keep` the morphs are kept too, for
-    formats that need them. `n_morphs` is for the names of stages.
+    Only one morph is in memory at a time, unless they are kept (`keep`) for formats that need them.
+    With `exact` frames are kept as floats. `n_morphs` is for the names of stages.
     """
     report = progress or (lambda stage, share: None)
     times: list[float] = []

@@ -53,11 +53,9 @@ def make_plan(
 ) -> Plan | Barycentric:
     """Return the plan between two images' pixels in the requested form, or in one that fits.
 
-    `sample`, `barycentric`, `seed`, `max_particles` and `max_memory` are options of
-    `clmorph.morph`; a `max_memory` of None is `default_memory`. Where not all pairs fit, another
-    form replaces them, which a MemoryWarning names. `log_threshold` does not apply to draws and
-    means, which represent the whole plan; a PruningWarning tells where it drops much of the plan's
-    mass.
+    A MemoryWarning names the form that replaces all pairs if these do not fit into `max_memory`
+    (None: `default_memory`). Draws and means represent the whole plan, so that `log_threshold` does
+    not apply to them; a PruningWarning tells where it drops much mass.
     """
     if sample is None and not barycentric:
         way = choose_way(

@@ -84,11 +84,9 @@ def estimate(
 ) -> Memory:
     """Estimate the memory of a morph with this number of lifted pixels of both pictures.
 
-    `blocks` are the numbers of points between which the transport is solved, and `dimension` their
-    coordinates. `particles` travel, besides one for each pixel that stays. `frame` is the number
-    of pixels of a frame that is drawn from particles, 0 for one that is drawn from the pictures,
-    and `carried` that of both pictures if smaller copies of them are lifted. Frames that are kept
-    are not included.
+    `blocks` are the numbers of points that are solved, in `dimension` coordinates; `particles`
+    travel, besides one for each pixel that stays; `frame` pixels are drawn from particles, and
+    `carried` are those of both pictures if smaller copies are lifted. Kept frames are not included.
     """
     points = sum(blocks)
     host = PIXEL * pixels + BLOCK * points + CARRIED * carried

@@ -39,11 +39,10 @@ POINTS = 4096
 def optimal_curve(
     morph: Morph, *, progress: Callable[[float], None] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the kernel widths whose frames are nearest to the particles: times and pixels.
+    """Return the kernel widths, times and pixels, whose frames are nearest to the particles.
 
-    They are the arguments of `clmorph.frames.kernel_width.KernelWidth.curve`. The morph's own
-    kernel widths are ignored. A morph whose reach is a pair, or whose metric of color is a map, has
-    no divergence and is refused.
+    The morph's own widths are ignored. A morph without a divergence is refused: one whose reach is
+    a pair, or whose metric of color is a map.
     """
     report = check_progress(progress)
     check_frame_sequence(morph)

@@ -34,10 +34,9 @@ def predict_pairs(
 ) -> int:
     """Predict how many pairs `clmorph.transport_plan` will keep, from a sample, in O(N + M).
 
-    A pair is kept for its row or for its column. A sample of `rows` rows gives the number of pairs
-    kept for rows, a sample of as many columns the number kept for columns, and the intersections of
-    both samples the number kept for both. With `log_threshold` a sample of rows is enough. The
-    result is exact if the sample contains all rows and columns.
+    Samples of `rows` rows and of as many columns give the pairs kept for either, and their
+    intersections those kept for both; with `log_threshold` rows are enough. The result is exact if
+    the sample holds everything.
     """
     source, target = as_pair(source, target)
     relative = PruningOptions.checked("relative", relative)

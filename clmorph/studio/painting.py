@@ -17,9 +17,9 @@ MAX_CANVAS = 4096 * 4096
 def read_painted(content: bytes, shape: tuple[int, int], kind: str) -> Image.Image:
     """Return painted regions as a gray picture of the size of their picture, or raise InputError.
 
-    `content` is the page's canvas as PNG. What is opaque is painted, and its red level names the
-    label. The canvas may be smaller than the picture; its pixels then become squares. Labels are
-    the gray levels 0 (not painted) to `LABELS`; a mask is 0 or 255.
+    `content` is the page's canvas as PNG, perhaps smaller: its opaque pixels are painted, with the
+    label in their red level. Labels are the gray levels 0 (not painted) to `LABELS`; a mask is 0 or
+    255.
     """
     try:
         with Image.open(io.BytesIO(content), formats=("PNG",)) as image:

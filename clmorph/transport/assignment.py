@@ -89,12 +89,10 @@ def permutation_cost(source: Array, target: Array, permutation: Indices) -> floa
 
 
 def merged(first: Indices, second: Indices, source: Array, target: Array) -> Indices:
-    """Return a permutation that is at least as cheap as two others.
+    """Return a permutation that is at least as cheap as two others, (N,).
 
-    A set of sources that both permutations send to the same targets can follow either of them
-    (BSP-OT, "merging"), so each smallest such set follows the cheaper one.
-
-    first, second: (N,); source, target: (N, D).
+    A set of sources that both send to the same targets can follow either of them (BSP-OT,
+    "merging"), so each smallest such set follows the cheaper one.
     """
     n = len(first)
     owner = np.empty(n, np.intp)

@@ -191,12 +191,10 @@ class Auction:
     def settle(self, work: int, least: float = 0.0) -> bool:
         """Make the assignment the cheapest one of the candidates; return whether it is proven.
 
-        work: number of lines of candidates after which it ends; least: falls of a price that are
-        left out.
-
         Prices fall to g_j <= C_ij - C_is(i) + g_s(i) (Bellman, Ford), from where the last ones have
-        fallen. Rows that undercut one another in a cycle change their columns, which is cheaper
-        (Klein 1967). Columns that no row has belong to rows from N on, which cost nothing.
+        fallen by more than `least`, over at most `work` lines. Rows that undercut one another in a
+        cycle change their columns, which is cheaper (Klein 1967). Columns that no row has belong to
+        rows from N on, which cost nothing.
         """
         n, m = len(self.taken), len(self.g)
         free = np.flatnonzero((self.owner < 0) | (self.owner >= n))

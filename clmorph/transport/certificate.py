@@ -65,31 +65,16 @@ class Certificate(NamedTuple):
 
 
 class Side(NamedTuple):
-    """One measure, its potential, and the softmin of the other potential with its error bounds.
-
-    Attributes
-    ----------
-    weights, log_weights : (N,) arrays
-    potential, softmin : (N,) arrays
-        f and T(g) of the rows, or g and T(f) of the columns; cost units.
-    inverse_rho : float
-        1 / rho, 0 if balanced.
-    left_out : float
-        Bound of the nats by which the logarithms of the sums behind the softmin are too small.
-    roundoff : float
-        Bound of the rounding error of these logarithms, in nats.
-    oscillation : float
-        Bound of |C_ij - C_kj| over points i, k of this measure, cost units.
-    """
+    """One measure, its potential, and the softmin of the other potential with its error bounds."""
 
     weights: Array
     log_weights: Array
-    potential: Array
-    softmin: Array
-    inverse_rho: float
-    left_out: float
-    roundoff: float
-    oscillation: float
+    potential: Array  #: f of the rows, or g of the columns, cost units
+    softmin: Array  #: T(g), or T(f)
+    inverse_rho: float  #: 0 if balanced
+    left_out: float  #: nats by which the sums behind the softmin are too small, at most
+    roundoff: float  #: nats of rounding of the logarithms of these sums, at most
+    oscillation: float  #: bound of |C_ij - C_kj| over points i, k of this measure
 
     def marginal(self, epsilon: float) -> Array:
         """Return the marginal of the plan on this side."""

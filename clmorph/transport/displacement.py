@@ -140,13 +140,7 @@ def displacement_of(
     column_mass: Array,
     mask: float = 0.0,
 ) -> Displacement:
-    """Measure how far a plan moves mass, from its mean destinations and its marginals.
-
-    source, target: lifted images of N and M pixels; destinations: (N, 2), mean destination of each
-    source pixel, in the common frame; row_mass, column_mass: (N,) and (M,), mass that leaves each
-    source pixel, and mass that arrives at each target pixel; mask: rows of at most this mass count
-    as resting.
-    """
+    """Measure how far a plan moves mass, by mean destinations (N, 2) and marginals (N,), (M,)."""
     height, width = source.shape
     moves = row_mass > mask
     # Number of pixels in one unit of the common frame; stretched axes follow the paper's Table 1.

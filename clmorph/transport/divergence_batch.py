@@ -167,11 +167,7 @@ def solve_further(
     precision: str,
     name: Callable[[int], str],
 ) -> None:
-    """Solve those problems further whose divergences have wide intervals; see `further_tol`.
-
-    solved: changed in place; selves: for some of the problems, the potentials of source and target
-    with themselves; pairs: sequence of (source, target), of all problems.
-    """
+    """Solve problems with wide divergences further, and change `solved`; see `further_tol`."""
     wide: dict[int, float] = {}
     for number, own in selves.items():
         if not np.isfinite(solved[number].gap) or solved[number] in own:

@@ -53,12 +53,10 @@ def entropic_map(
     operations: Operations,
     precise: bool = False,
 ) -> Mapped:
-    """Map points by the potential of a measure, over all its points, a part at a time.
+    """Map points (K, D), K may be 0, by the potential (M,) of a measure, a part at a time.
 
-    points: (K, D), K may be 0; target: A measure of M points in D dimensions; potential: (M,), cost
-    units; epsilon: float, cost units; precise: whether exponents are formed in more than float32 in
-    any case. They are if the points are so far from the target that float32 would round them by
-    more than `ROUNDING`.
+    Exponents are formed in more than float32 if `precise`, or if the points are so far from the
+    target that float32 would round them by more than `ROUNDING`.
     """
     massive = target.points[target.weights > 0]
     low, high = massive.min(axis=0), massive.max(axis=0)
@@ -93,13 +91,9 @@ def entropic_map(
 def _scales(distances: Array, radius: float) -> Array:
     """Return the numbers by which points are divided while the target is multiplied by them.
 
-    Means are rounded relative to the distance between points and target. C(x, y) / epsilon has no
-    other mixed term than x.y / epsilon, which stays if x is divided by a number and y multiplied by
-    it; the squares go into offsets. So points and target become equally large. Powers of 2 round
-    nothing, and few of them occur.
-
-    distances: (K,), distances of the points from the middle of the target; radius: half the
-    diagonal of the target's bounding box.
+    Means are rounded relative to the distance (K,) between points and target. C(x, y) / epsilon has
+    no other mixed term than x.y / epsilon, which stays; the squares go into offsets. So both become
+    equally large. Powers of 2 round nothing, and few of them occur.
     """
     far = (distances > radius) & (radius > 0)
     ratios = np.divide(distances, radius, out=np.ones(len(distances)), where=far)

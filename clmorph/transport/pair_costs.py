@@ -51,11 +51,10 @@ class Costs:
         return costs if self.weights is None else costs * self.weights[rows]
 
     def cheapest(self, side: int, prices: Array, count: int, points: Indices) -> Indices:
-        """Return the cheapest pairs of some rows (side 0) or columns (1) at the other's prices.
+        """Return (K, count) cheapest pairs of rows (side 0) or columns (1) at the other's prices.
 
-        prices: (M,) of columns, or (N,) of rows, which costs are reduced by; points: (K,) rows or
-        columns; Result: (K, count), columns or rows in no order. Points in one place get different
-        ones of others in one place. The cheapest pair is exact to rounding if `count` is 1.
+        Points in one place get different ones of others in one place. The cheapest pair is exact to
+        rounding if `count` is 1.
         """
         count = min(count, len(prices))
         if self.weights is None and self.x.shape[1] <= TREE_DIMENSION:

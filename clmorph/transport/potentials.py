@@ -393,11 +393,7 @@ FOREIGN = 0.01
 
 
 def check_origin(potentials: Potentials, row_mass: Array, rounding: float) -> None:
-    """Check that potentials belong to measures, by the marginal of the plan.
-
-    row_mass: (N,), marginal of the plan of these potentials between the given measures. It must be
-    the one that the potentials contain; rounding: largest effect of rounding on a softmin, in nats.
-    """
+    """Check that a plan's marginal, (N,), is that of potentials, up to `rounding` in nats."""
     nats = 4.0 * rounding + 2.0 * potentials.truncation_error + (potentials.truncation or 0.0)
     own = potentials.row_mass
     most = (FOREIGN + np.expm1(min(nats, 100.0))) * max(float(own.sum()), float(row_mass.sum()))

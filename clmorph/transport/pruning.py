@@ -67,12 +67,10 @@ def strictly_above(
     log_threshold: float,
     margin: float,
 ) -> PlanRows:
-    """Drop pairs that do not exceed the threshold, so that a device's rounding has no effect.
+    """Drop pairs not above the threshold in float64, so that a device's rounding has no effect.
 
-    pairs: all pairs above `log_threshold - margin`, as a device computed them; margin: A distance
-    in nats, see `undecided`; pairs this near to the threshold are computed again in float64;
-    Result: the pairs whose log pi_ij is above `log_threshold` in float64. They are the same on
-    every device for the same potentials.
+    `pairs` are all above `log_threshold - margin` (nats, see `undecided`) as a device computed
+    them; those this near to the threshold are computed again.
     """
     log_mass = _log(pairs.mass)
     keep = log_mass > log_threshold

@@ -20,12 +20,9 @@ def refined(
 ) -> Plan | Barycentric:  # fmt: skip
     """Convert a plan between blocks to a plan between their pixels.
 
-    The mass that goes from one block to another goes from each pixel of the first to the pixel at
-    the same place in the second, or to several pixels if the second block has more of them. Blocks
-    move without being changed, so both images keep all their detail.
-
-    plan: A plan between `source.coarse` and `target.coarse`; Result: the plan between pixels. Its
-    marginals are those of the blocks, divided among the pixels by mass.
+    The mass of a pair goes from each pixel of one block to the pixel at its place in the other, or
+    to several if that has more: blocks move unchanged, and images keep all detail. Marginals are
+    those of the blocks, divided among the pixels by mass.
     """
     if source.side == target.side == 1:
         return plan
@@ -86,15 +83,10 @@ def drawn(
 ) -> Plan:
     """Convert draws from a plan between blocks to pairs of pixels, each draw to one pair.
 
-    The draws of a row are ordered along a Z-curve over the target's blocks. They are assigned in
-    turn to the pixels of the row's block, in the same order and by mass. Every pixel therefore gets
-    draws from the whole row, and neighboring pixels go to neighboring blocks. Each pixel goes to
-    the pixel at its own place in the drawn block. The draws of a column are treated in the same
-    way, with both images swapped.
-
-    draws: draws from a plan between `source.coarse` and `target.coarse`, or some of their blocks;
-    points: the blocks of source and target between which the plan is; all if missing; Result: the
-    plan between pixels. Its marginals are those of the blocks, divided among the pixels by mass.
+    The draws of a row are ordered along a Z-curve over the target's blocks, and go in turn, by
+    mass, to the pixels of the row's block in the same order: every pixel gets draws from the whole
+    row, and neighbors go to neighboring blocks, there to the pixel at their own place. Draws of
+    columns are treated likewise. `points` are the blocks between which the plan is; all if missing.
     """
     by_row, by_column = draws.masses()
     sizes = len(source.coarse), len(target.coarse)

@@ -186,13 +186,10 @@ def solve(
     keep: bool = False,
     exact: bool = False,
 ) -> Potentials:
-    """Solve one problem by the certified iteration, without a warning.
+    """Solve one problem by the certified iteration from g, (M,), if given, without a warning.
 
     The problem of a measure with itself has equal potentials, unless it is solved through coarser
-    problems or from given potentials.
-
-    pair: (source, target), its measures; g: (M,), potentials at which the iteration begins; keep:
-    whether the result keeps the near pairs, if the problem has such.
+    problems or from g. With `keep` the result keeps the near pairs, if it has such.
     """
     limit = choose_truncation(truncation, tol, is_large(pair, operations))
     problem = Problem.between(operations, *pair, given.rho, limit, clouds)
@@ -278,11 +275,7 @@ def finish(ended: Outcome, given: Regularization, truncation: float | None) -> P
 def outcome(
     status: str, n_iter: int, residual: float, tol: float, rounding: float, precision: str
 ) -> str:
-    """Return one line that reports how a solve ended and, if it did not converge, a remedy.
-
-    status: {"converged", "max_iter", "precision"}; residual, tol: units of epsilon; rounding:
-    largest residual that rounding alone can cause, in units of epsilon.
-    """
+    """Return how a solve ended, and a remedy if it missed; numbers are in units of epsilon."""
     reached = f"residual {residual:.1e} epsilon"
     missed = f"not converged after {n_iter} iterations: {reached}, wanted {tol:.1e}"
     return {

@@ -33,9 +33,8 @@ from clmorph.transport.sinkhorn import solve
 class Subproblem:
     """A transport problem between blocks of pixels of two images: that of one label, or of all.
 
-    source, target: the pixels, of which those of other labels have no mass, in blocks; label: none
-    stands for all pixels; points: (IntArray, IntArray) or None, blocks of the source and of the
-    target that have mass, between which the problem is solved; None stands for all blocks.
+    Pixels of other labels have no mass. `points` are the blocks of both sides that have mass,
+    between which the problem is solved; None stands for all blocks.
     """
 
     source: PixelBlocks
@@ -133,14 +132,10 @@ def by_label(
     solve_size: int | None,
     given: Regularization,
 ) -> list[Subproblem]:
-    """Divide the problem between two images into those of the labels that both have.
+    """Divide the problem between two images into those of the labels, (H, W), that both have.
 
     A block of pixels of several labels becomes a point of each of them, with the mass and the mean
-    of the pixels of that label, so that labels stay apart exactly whatever the size of the blocks.
-
-    source, target: lifted images; labels: the labels of their pixels, (H, W) each; Result: in
-    ascending order of labels. Labels that only one image has mass of are left out: their mass does
-    not move.
+    of its pixels, so that labels stay apart exactly whatever the size of the blocks.
     """
     names, sizes = zip(
         *(_masses(measure, each) for measure, each in zip((source, target), labels, strict=True)),
@@ -211,12 +206,10 @@ def solve_parts(
     operations: Operations,
     report: Progress,
 ) -> tuple[list[Potentials], Potentials]:
-    """Solve the problems of labels one after another.
+    """Solve the problems of labels, and return their potentials, each and all together.
 
-    masses: (float, float), masses of both images, of labels without a partner as well; report:
-    called with the share of the work that is done; Result: those of each part; Result: all of them
-    together, part after part, with the certificate of the problem whose cost between different
-    labels is infinite.
+    Together they have the certificate of the problem whose cost between labels is infinite;
+    `masses` are those of both images, of labels without a partner as well.
     """
     found: list[Potentials] = []
     total, done = sum(part.pairs for part in parts), 0

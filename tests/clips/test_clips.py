@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clmorph.clips.reading import Clip, Frame, Sound
-from clmorph.clips.tags import PRIMARIES, ColorTags
+from clmorph.clips.tags import KNOWN_PRIMARIES, ColorTags
 from clmorph.clips.writing import CONTAINERS, ClipWriter, even
 from clmorph.errors import FileError, OutputError
 
@@ -128,7 +128,7 @@ def test_tags_are_obeyed_and_kept(tmp_path, tags, depth):
         np.testing.assert_allclose(pixels.mean(axis=(0, 1)) * 255, [0x30, 0x70, 0xC0], atol=2)
 
 
-@pytest.mark.parametrize("primaries", PRIMARIES)
+@pytest.mark.parametrize("primaries", KNOWN_PRIMARIES)
 @pytest.mark.parametrize("transfer", [1, 4, 5, 8, 13])
 def test_ways_from_and_to_srgb_are_inverses(primaries, transfer):
     tags, colors = ColorTags(1, 1, primaries, transfer), np.random.default_rng(0).random((50, 3))

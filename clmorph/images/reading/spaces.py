@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.typing import AnyArray, Array
-from clmorph.images.color import encode
+from clmorph.images.color import decode, encode
 from clmorph.images.reading.boxes import boxes, png_chunk
 from clmorph.images.reading.opening import Reader
 
@@ -21,7 +21,8 @@ from clmorph.images.reading.opening import Reader
 Primaries = tuple[float, ...]
 SRGB: Primaries = (0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
 _D65, _C = (0.3127, 0.329), (0.31, 0.316)
-_PRIMARIES: dict[int, Primaries] = {
+#: The same, by the code points of ITU-T H.273.
+PRIMARIES: dict[int, Primaries] = {
     1: SRGB, 2: SRGB,
     4: (*_C, 0.67, 0.33, 0.21, 0.71, 0.14, 0.08),
     5: (*_D65, 0.64, 0.33, 0.29, 0.6, 0.15, 0.06),
@@ -160,7 +161,7 @@ def _is_gamut(primaries: Primaries) -> bool:
 
 def _coded(primaries: int, transfer: int) -> Description:
     """Return the space of two codes."""
-    found = _PRIMARIES.get(primaries)
+    found = PRIMARIES.get(primaries)
     if found is None or transfer not in _TRANSFERS:
         return Description(note=_taken(f"color codes that are not known ({primaries}, {transfer})"))
     return Description(None, _TRANSFERS[transfer]._replace(primaries=found))
@@ -206,7 +207,7 @@ def from_space(colors: AnyArray, space: Space) -> AnyArray:
     if space.to_light is None and same:
         return colors
     levels = np.arange(np.iinfo(colors.dtype).max + 1) / np.iinfo(colors.dtype).max
-    light = _of_srgb(levels) if space.to_light is None else space.to_light(levels)
+    light = decode(levels) if space.to_light is None else space.to_light(levels)
     if gray:
         rows = np.repeat(light[:, None], 3, axis=1)
         return _stored(rows, space._replace(primaries=SRGB))[:, 0][colors]
@@ -215,10 +216,6 @@ def from_space(colors: AnyArray, space: Space) -> AnyArray:
     for start in range(0, len(rows), _PART):
         made[start : start + _PART] = _stored(light[rows[start : start + _PART]], space)
     return found
-
-
-def _of_srgb(stored: Array) -> Array:
-    return np.where(stored <= 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
 
 
 def _stored(light: Array, space: Space) -> NDArray[np.uint16]:

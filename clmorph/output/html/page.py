@@ -54,11 +54,9 @@ def page(scene: Scene, *, max_bytes: float = PAGE_BYTES) -> str:
 def write_page(scene: Scene, file: TextIO, *, max_bytes: float = PAGE_BYTES) -> None:
     """Write a page that plays a scene, frame by frame, so that it is never in memory as a whole.
 
-    The page is plain ASCII and loads no other resource, which its own Content-Security-Policy
-    forbids. It stores frames without loss (as WebP, or as PNG where Pillow has no WebP). If they
-    would take more than `max_bytes` as text, the first frame that is too large for its share and
-    all later ones are compressed with loss, and a note in the page reports it. After an error the
-    text written so far is not a valid page.
+    It is plain ASCII and loads nothing else, which its own Content-Security-Policy forbids. From
+    the first frame that is too large for its share of `max_bytes` on, frames are compressed with
+    loss, and a note reports it. After an error the text written so far is not a valid page.
     """
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e12)
     for part in _parts(scene, max_bytes):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, cast
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +25,9 @@ from clmorph.measures.points import (
 from clmorph.transport._solver.checks import check_problem, check_solver_options
 from clmorph.transport.barycenters.fixed_support import fixed_support
 from clmorph.transport.barycenters.free_support import free_support
-from clmorph.transport.barycenters.result import Barycenter
+from clmorph.transport.barycenters.result import Barycenter, BarycenterProblem, Call
 from clmorph.transport.divergence import check_symmetric, one_regularization
 from clmorph.transport.options import SolverOptions
-from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import warn_unless_converged
 
 #: Largest number of iterations, unless the user says it: with a free and with a fixed support.
@@ -141,33 +140,13 @@ def barycenter(
     for first in (problem.measures[0], problem.start):
         for each in problem.measures:
             check_problem(first, each, call.given, operations, "auto")
-    if fixed:
-        found = fixed_support(
-            problem.measures, problem.shares, problem.start, call.given, call.debias,
-            call.tol, call.max_iter, operations, report,
-        )  # fmt: skip
-    else:
-        found = free_support(
-            problem.measures, problem.shares, cast(WeightedPoints, problem.start), call.given,
-            call.debias, call.tol, call.max_iter, operations, report,
-        )  # fmt: skip
+    found = (fixed_support if fixed else free_support)(problem, call, operations, report)
     warn_unless_converged(
         found.status,
         f"barycenter: residual {found.residual:.1e} after {found.n_iter} iterations, above the "
         f"tolerance {call.tol:g}; raise max_iter, tol or blur",
     )
     return found
-
-
-class Call(NamedTuple):
-    """The checked options of a call."""
-
-    given: Regularization
-    tol: float
-    max_iter: int
-    fixed: bool
-    debias: bool
-    seed: int
 
 
 def checked_call(
@@ -180,14 +159,6 @@ def checked_call(
     most = (FIXED_ITERATIONS if fixed else FREE_ITERATIONS) if max_iter is None else max_iter
     tol, most, _ = check_solver_options(tol, most)
     return Call(given, tol, most, fixed, debias, check_integer("seed", seed, 0, 2**63))
-
-
-class BarycenterProblem(NamedTuple):
-    """Measures with positive shares, these shares, and the support with which to begin."""
-
-    measures: list[AnyMeasure]
-    shares: list[float]
-    start: WeightedPoints | Grid
 
 
 def prepared(measures: Any, weights: Any, support: Any, call: Call) -> BarycenterProblem:

@@ -56,8 +56,7 @@ from clmorph.backends.interface import Operations
 from clmorph.measures.grid import Grid, are_grids
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.grid_softmin import GridSoftmin
-from clmorph.transport.barycenters.result import Barycenter, check_mass
-from clmorph.transport.regularization import Regularization
+from clmorph.transport.barycenters.result import Barycenter, BarycenterProblem, Call, check_mass
 
 #: The smallest logarithm of a mass, in nats below the mean: the square root of float64's range.
 FAINTEST = -350.0
@@ -66,22 +65,11 @@ RECOVERY = 1.2
 
 
 def fixed_support(
-    measures: Sequence[AnyMeasure],
-    shares: Sequence[float],
-    support: AnyMeasure,
-    given: Regularization,
-    debias: bool,
-    tol: float,
-    max_iter: int,
-    operations: Operations,
-    report: Progress,
+    problem: BarycenterProblem, call: Call, operations: Operations, report: Progress
 ) -> Barycenter:
-    """Return the barycenter's weights on given points.
-
-    shares: positive shares of the measures, with the sum 1; support: points, or a grid whose mask
-    counts, with even masses of the measures' mean mass; given: with one reach for both sides;
-    report: called with the share of the work that is done.
-    """
+    """Return the barycenter's weights on given points, or on a grid whose mask counts."""
+    measures, shares, support = problem
+    given, tol, max_iter, debias = call.given, call.tol, call.max_iter, call.debias
     epsilon, rho = given.epsilon, given.rho[0]
     q = 1.0 / (1.0 + epsilon / rho)
     even = support.weights

@@ -22,19 +22,16 @@ Janati, Cuturi and Gramfort, "Debiased Sinkhorn barycenters", ICML 2020, section
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from clmorph._shared.typing import Progress
 from clmorph.backends.interface import Operations
-from clmorph.measures.points import AnyMeasure, WeightedPoints
+from clmorph.measures.points import WeightedPoints
 from clmorph.transport._solver.plan_softmin import sent
 from clmorph.transport._solver.problem import uploaded
-from clmorph.transport.barycenters.result import Barycenter, check_mass
+from clmorph.transport.barycenters.result import Barycenter, BarycenterProblem, Call, check_mass
 from clmorph.transport.divergence import self_transport_of
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import solve
 
 #: Residual of the solves, in units of epsilon, and its largest share of the tolerance.
@@ -48,17 +45,11 @@ TINY = 1e-100
 
 
 def free_support(
-    measures: Sequence[AnyMeasure],
-    shares: Sequence[float],
-    start: WeightedPoints,
-    given: Regularization,
-    debias: bool,
-    tol: float,
-    max_iter: int,
-    operations: Operations,
-    report: Progress,
+    problem: BarycenterProblem, call: Call, operations: Operations, report: Progress
 ) -> Barycenter:
     """Move points, and change their masses unless transport is balanced, until they rest."""
+    measures, shares, start = problem
+    given, tol, max_iter, debias = call.given, call.tol, call.max_iter, call.debias
     epsilon, rho = given.epsilon, given.rho[0]
     balanced = bool(np.isinf(rho))
     inner = min(INNER_TOL, INNER_SHARE * tol)

@@ -3,16 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph.errors import InputError
 from clmorph.measures.grid import Grid
-from clmorph.measures.points import WeightedPoints
+from clmorph.measures.points import AnyMeasure, WeightedPoints
+from clmorph.transport.regularization import Regularization
 
 #: Share of the mean mass of the measures below which the mass of the support is lost.
 LOST = 1e-20
+
+
+class Call(NamedTuple):
+    """The checked options of a call."""
+
+    given: Regularization
+    tol: float
+    max_iter: int
+    fixed: bool
+    debias: bool
+    seed: int
+
+
+class BarycenterProblem(NamedTuple):
+    """Measures with positive shares, these shares, and the support with which to begin."""
+
+    measures: list[AnyMeasure]
+    shares: list[float]
+    start: WeightedPoints | Grid
 
 
 @dataclass(frozen=True, repr=False, eq=False)
