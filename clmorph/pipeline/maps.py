@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from clmorph._shared.typing import Array, IntArray
+from clmorph._shared.typing import AnyArray, IntArray
 from clmorph._shared.validation import is_path
 from clmorph.errors import InputError
 from clmorph.images.label_maps import as_labels, read_labels, reduced_labels
@@ -31,25 +31,19 @@ class Maps:
         """Names of the arrays that are given."""
         return tuple(each.name for each in fields(self) if getattr(self, each.name) is not None)
 
-    def checked_labels(self, shapes: Sequence[Shape]) -> tuple[IntArray, IntArray] | None:
-        """Return the labels of pictures of these shapes, (H, W) each, if they can be used."""
-        if self.labels is None:
+    def _checked(
+        self, name: str, check: Callable[..., AnyArray], expected: str, shapes: Sequence[Shape]
+    ) -> tuple[AnyArray, AnyArray] | None:
+        """Return the checked labels, or features, of pictures of these shapes; None without."""
+        value = getattr(self, name)
+        if value is None:
             return None
-        pair = _pair("labels", self.labels, "label images (H, W) of integers")
+        usable = isinstance(value, tuple | list) and len(value) == 2
+        if not usable or is_path(value) or any(each is None for each in value):
+            raise InputError(f"{name}: expected a pair of {expected}, one for each image")
         first, second = (
-            as_labels(f"labels of image_{letter}", each, shape)
-            for letter, each, shape in zip("ab", pair, shapes, strict=True)
-        )
-        return first, second
-
-    def checked_features(self, shapes: Sequence[Shape]) -> tuple[Array, Array] | None:
-        """Return the features of pictures of these shapes, (H, W, K) each, if they can be used."""
-        if self.features is None:
-            return None
-        pair = _pair("features", self.features, "arrays (H, W) or (H, W, K)")
-        first, second = (
-            as_features(f"features of image_{letter}", each, shape)
-            for letter, each, shape in zip("ab", pair, shapes, strict=True)
+            check(f"{name} of image_{letter}", each, shape)
+            for letter, each, shape in zip("ab", value, shapes, strict=True)
         )
         return first, second
 
@@ -57,7 +51,7 @@ class Maps:
         self, measures: tuple[Measure, Measure], shapes: Sequence[Shape]
     ) -> tuple[IntArray, IntArray] | None:
         """Return the labels of the pixels of two measures; None if there are none."""
-        whole = self.checked_labels(shapes)
+        whole = self._checked("labels", as_labels, "label images (H, W) of integers", shapes)
         if whole is None:
             return None
         first, second = (
@@ -70,7 +64,7 @@ class Maps:
         self, measures: tuple[Measure, Measure], shapes: Sequence[Shape], weight: Any
     ) -> tuple[Measure, Measure]:
         """Return measures with the features, if there are any."""
-        whole = self.checked_features(shapes)
+        whole = self._checked("features", as_features, "arrays (H, W) or (H, W, K)", shapes)
         return measures if whole is None else with_features(measures, whole, weight)
 
 
@@ -89,11 +83,3 @@ def read_maps(labels: Sequence[Path], features: Sequence[Path], max_pixels: int)
         else tuple(read_labels(path, max_pixels=max_pixels) for path in labels) or None,
         features=tuple(read_features(path, max_pixels=max_pixels) for path in features) or None,
     )
-
-
-def _pair(name: str, value: Any, expected: str) -> Sequence[Any]:
-    """Return both members of a pair."""
-    usable = isinstance(value, tuple | list) and len(value) == 2
-    if not usable or is_path(value) or any(each is None for each in value):
-        raise InputError(f"{name}: expected a pair of {expected}, one for each image")
-    return value

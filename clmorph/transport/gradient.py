@@ -126,13 +126,13 @@ def gradient(
         _side(operations, clouds, pair, potentials),
         _side(operations, clouds[::-1], pair[::-1], potentials.swapped()),
     )
-    given = potentials.epsilon, _balanced(potentials)
+    epsilon = potentials.epsilon
     masses = [float(measure.weights.sum()) for measure in pair]
     weights = [
-        side.weights(given[0]) + given[0] * (mass - 1.0)
+        side.weights(epsilon) + epsilon * (mass - 1.0)
         for side, mass in zip(sides, masses[::-1], strict=True)
     ]
-    return _joined([side.points for side in sides], weights, given[1])
+    return joined_sides([side.points for side in sides], weights, potentials)
 
 
 def divergence_gradient(
@@ -153,7 +153,7 @@ def divergence_gradient(
         within = _side(operations, (clouds[0],) * 2, (measures[0],) * 2, own)
         points.append(between.points - within.points)
         weights.append(between.minus(within, cross.epsilon))
-    return _joined(points, weights, _balanced(cross))
+    return joined_sides(points, weights, cross)
 
 
 class _Side(NamedTuple):
@@ -196,13 +196,8 @@ def _side(
     )
 
 
-def _balanced(potentials: Potentials) -> bool:
-    """Return whether both sides are balanced."""
-    return bool(np.all(np.isinf(potentials.rho)))
-
-
-def _joined(points: list[Array], weights: list[Array], balanced: bool) -> Gradient:
-    """Return a gradient; if it is balanced, with derivatives by weights of mean 0."""
-    if balanced:
+def joined_sides(points: list[Array], weights: list[Array], potentials: Potentials) -> Gradient:
+    """Return a gradient; if both sides are balanced, its derivatives by weights have the mean 0."""
+    if np.all(np.isinf(potentials.rho)):
         weights = [each - each.mean() for each in weights]
     return Gradient(points[0], weights[0], points[1], weights[1])

@@ -27,7 +27,7 @@ from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport.divergence import Divergence
-from clmorph.transport.gradient import Gradient
+from clmorph.transport.gradient import Gradient, joined_sides
 from clmorph.transport.potentials import Potentials, check_potentials
 
 #: Largest number of pairs, whose plan is kept in float64.
@@ -87,7 +87,8 @@ def hessian_product(
         raise InputError("weights must be positive for second derivatives: remove points without")
     changes = _changes(pair, direction)
     if isinstance(solved, Potentials):
-        return _joined(_product(pair, solved, *changes), solved)
+        sides = _product(pair, solved, *changes)
+        return joined_sides([side[0] for side in sides], [side[1] for side in sides], solved)
     cross = _product(pair, solved.cross, *changes)
     found: list[tuple[Array, Array]] = []
     for measure, change, own, there in zip(
@@ -97,8 +98,8 @@ def hessian_product(
         found.append((there[0] - within[0], there[1] - within[1]))
     # epsilon / 2 (m_a - m_b)^2, of which the weights' derivatives change by a constant.
     more = solved.cross.epsilon * (changes[0][1].sum() - changes[1][1].sum())
-    sides = (found[0][0], found[0][1] + more), (found[1][0], found[1][1] - more)
-    return _joined(sides, solved.cross)
+    weights = [found[0][1] + more, found[1][1] - more]
+    return joined_sides([each[0] for each in found], weights, solved.cross)
 
 
 def _changes(pair: tuple[AnyMeasure, AnyMeasure], direction: Any) -> list[tuple[Array, Array]]:
@@ -192,10 +193,3 @@ def _product(
         weights.append((1 + epsilon / each) * np.exp(-potential / each) * step)
         weights[-1] += epsilon * other.sum()
     return (points[0], weights[0]), (points[1], weights[1])
-
-
-def _joined(sides: tuple[tuple[Array, Array], tuple[Array, Array]], of: Potentials) -> Gradient:
-    weights = [side[1] for side in sides]
-    if np.all(np.isinf(of.rho)):
-        weights = [each - each.mean() for each in weights]
-    return Gradient(sides[0][0], weights[0], sides[1][0], weights[1])
