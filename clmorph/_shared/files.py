@@ -10,7 +10,7 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from os import PathLike
 from pathlib import Path
@@ -237,6 +237,23 @@ def atomic_paths(targets: Sequence[str | PathLike[str]]) -> Iterator[list[Path]]
             _flush_folder(home)
         if unread:
             raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+
+def write_together(
+    writers: Sequence[tuple[Path, Path, Callable[[Path], None]]],
+    texts: Mapping[Path, str] | None = None,
+) -> None:
+    """Write files (place, path as given, writer), and `texts` by path, all whole or none."""
+    beside = dict(texts or {})
+    places = [*(place for place, _, _ in writers), *beside]
+    check_apart(places)
+    with atomic_paths(places) as made:
+        for new, (place, text) in zip(made[len(writers) :], beside.items(), strict=True):
+            with errors_as_output(place):
+                new.write_text(text, "utf-8")
+        for new, (_, path, write) in zip(made, writers, strict=False):
+            with errors_as_output(path):
+                write(new)
 
 
 def is_closed_pipe(error: OSError) -> bool:

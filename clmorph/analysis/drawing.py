@@ -8,9 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from clmorph.transport.displacement import Displacement
 
 #: Colors of Okabe and Ito, which color-blind readers can distinguish; and two grays.
-BLUE, SKY, RED, GREEN, PURPLE, ORANGE = (
-    "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#AA4499", "#E69F00",
-)  # fmt: skip
+BLUE, SKY, RED = "#0072B2", "#56B4E9", "#D55E00"
 GRAY, INK = "#666666", "#222222"
 #: Settings of matplotlib for all figures.
 STYLE: dict[str, Any] = {

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from clmorph._shared.files import write_together
 from clmorph.cli.common import note_warning, quiet_libraries, read_picture
 from clmorph.cli.request import Request
 from clmorph.clips.reading import is_clip
@@ -16,7 +17,6 @@ from clmorph.images.looks import Lut, read_lut
 from clmorph.images.resizing import as_unit
 from clmorph.output.luts import check_lut_place, nodes_of, put_lut
 from clmorph.output.picture import check_picture_place, write_picture
-from clmorph.output.together import write_together
 from clmorph.pipeline.clips import ClipRecoloring, check_clip_place, container_of, is_clip_place
 from clmorph.pipeline.luts import graded, lut_of
 from clmorph.pipeline.recolor import check_for_picture, feathered, recolored

@@ -15,7 +15,6 @@ EXTENTS = get_args(Extent)
 #: CIE 1931), or its opacity alone; or the same for all pixels before a transparent or flat
 #: background (`clmorph.images.flat_colors.foreground`), whatever their opacity.
 Mass = Literal["uniform", "luminance", "alpha", "foreground"]
-MASSES = get_args(Mass)
 
 
 @dataclass(frozen=True, init=False)

@@ -1,18 +1,24 @@
 """Options of playback and of the style of frames in files."""
 
+import re
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal
+
+import numpy as np
 
 from clmorph._shared.option_kinds import choice, flag, integer, number, text
 from clmorph._shared.options import Options, option
-from clmorph.output.checks import as_canvas, check_color
+from clmorph._shared.validation import as_float, shown
+from clmorph.errors import InputError
 
+#: Canvases with a name: each frame's own size, the first picture's, the last one's.
+CANVASES = ("dynamic", "source", "target")
+#: A canvas's largest side, in pixels.
+MAX_SIDE = 16384
 #: The rules by which the time of the morph runs while frames follow one another evenly.
 Ease = Literal["linear", "smooth", "in", "out"]
-EASES = get_args(Ease)
 #: The rules for the playback after the last frame: start again, play backwards, or stop.
 Loop = Literal["loop", "ping-pong", "once"]
-LOOPS = get_args(Loop)
 #: The methods to enlarge and reduce frames; "auto" depends on the pictures.
 Scaling = Literal["auto", "nearest", "smooth"]
 
@@ -48,6 +54,43 @@ class PlaybackOptions(Options):
     loop: Loop = option("loop", choice(Loop), "What follows the last frame.", "Motion", word="")
     reverse: bool = option(
         False, flag(), "Play from the last picture to the first.", "Motion", word=""
+    )
+
+
+def check_color(color: Any) -> str:
+    """Return the color, or raise InputError if Pillow does not know it."""
+    from PIL import ImageColor
+
+    try:
+        if not isinstance(color, str):
+            raise TypeError
+        ImageColor.getrgb(color)
+    except (ValueError, AttributeError, TypeError):
+        raise InputError(
+            f"background={shown(color)}: expected a color such as 'white' or '#204060'"
+        ) from None
+    return color
+
+
+def as_canvas(canvas: Any) -> Any:
+    """Return a canvas as one of `CANVASES` or as (width, height), or raise InputError."""
+    if isinstance(canvas, str) and canvas in CANVASES:
+        return canvas
+    sides: Any = canvas
+    if isinstance(canvas, str):
+        found = re.fullmatch(r"(\d{1,6})[x×](\d{1,6})", canvas)
+        sides = found.groups() if found else ()
+    elif isinstance(canvas, list | tuple) or (isinstance(canvas, np.ndarray) and canvas.ndim == 1):
+        numbers = [as_float(side) for side in canvas]
+        sides = [number for number in numbers if number is not None and number % 1 == 0]
+    else:
+        sides = ()
+    width, height = (int(side) for side in sides) if len(sides) == 2 else (0, 0)
+    if 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE:
+        return width, height
+    raise InputError(
+        f"canvas={shown(canvas)}: expected {', '.join(map(repr, CANVASES))}, or width x height in "
+        f"pixels such as '640x480', each from 1 to {MAX_SIDE}"
     )
 
 

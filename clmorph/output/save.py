@@ -21,6 +21,7 @@ from clmorph._shared.files import (
     home_of,
     is_empty,
     is_standard_output,
+    write_together,
 )
 from clmorph._shared.options import Options, specifications, unknown_option
 from clmorph._shared.validation import check_choice, check_progress, is_path, shown
@@ -34,7 +35,6 @@ from clmorph.output.metadata import checked_parameters
 from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.output.playback import Motion, motion_of
 from clmorph.output.recording import Drawn, Recording, StageProgress, recorded
-from clmorph.output.together import write_together
 from clmorph.transport.divergence import Divergence
 from clmorph.transport.matching import Assignment
 from clmorph.transport.plan import Plan

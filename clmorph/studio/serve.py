@@ -9,6 +9,7 @@ import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 from clmorph._shared.printable import reason_of
@@ -18,13 +19,18 @@ from clmorph._shared.validation import check_integer
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.select import get_backend
 from clmorph.errors import InputError, OutputError
-from clmorph.studio.extra import need_studio
 from clmorph.studio.work import LineOf
 
-#: Where the studio listens unless told otherwise.
-HOST, PORT = "127.0.0.1", 8017
+#: Port at which the studio listens unless told otherwise.
+PORT = 8017
 #: Seconds for which running work may delay the end.
 PATIENCE = 3.0
+
+
+def need_studio() -> None:
+    """Raise an error that says what to install if the extra ``studio`` is missing."""
+    if any(find_spec(name) is None for name in ("starlette", "uvicorn")):
+        raise InputError('the studio needs the extra "studio": pip install "clmorph[studio]"')
 
 
 def serve(

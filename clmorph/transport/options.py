@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
 from clmorph._shared.option_kinds import choice, flag, integer, number
 from clmorph._shared.options import Options, option
@@ -14,17 +14,12 @@ Reach = float | tuple[float | None, float | None] | None
 Rho = float | tuple[float, float] | None
 #: Algorithm of `clmorph.sinkhorn`: accelerated and certified, or GeomLoss's schedule.
 Method = Literal["certified", "geomloss"]
-METHODS = get_args(Method)
 #: Floating-point precision of the exponents while the solver iterates.
 Precision = Literal["auto", "float32", "float64"]
-PRECISIONS = get_args(Precision)
 #: Reference of the share `relative` of `clmorph.transport_plan`: the largest pair of the row or
 #: column, or the largest pair of the plan.
 RelativeTo = Literal["rows", "plan"]
-RELATIVE_TO = get_args(RelativeTo)
 
-#: Bounds of the threshold log_threshold, in nats.
-LOWEST, HIGHEST = -1e4, 1e4
 #: Largest number of random draws from a row of a plan.
 MAX_DRAWS = 4096
 

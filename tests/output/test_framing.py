@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from clmorph.images.detail import is_pixel_art
-from clmorph.output.checks import as_canvas
 from clmorph.output.framing import (
     FrameStyle,
     Framing,
@@ -12,6 +11,7 @@ from clmorph.output.framing import (
     enlargement_note,
     in_time,
 )
+from clmorph.output.options import as_canvas
 from clmorph.output.spool import Spool
 
 SHAPES = [(6, 8, 3), (9, 8, 3), (12, 8, 3)]

@@ -1,19 +1,20 @@
 """Test the timing of frames: easing, holds, loops, durations."""
 
 from fractions import Fraction
+from typing import get_args
 
 import numpy as np
 import plain
 import pytest
 
 from clmorph import InputError
-from clmorph.output.options import EASES
+from clmorph.output.options import Ease
 from clmorph.output.playback import Motion, eased, held_frames, whole_units
 
 EVEN = np.linspace(0, 1, 11)
 
 
-@pytest.mark.parametrize("ease", EASES)
+@pytest.mark.parametrize("ease", get_args(Ease))
 def test_easing_is_monotone_and_keeps_both_ends(ease):
     times = eased(EVEN, ease)
     assert times[0] == 0

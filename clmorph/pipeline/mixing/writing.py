@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.files import write_together
 from clmorph._shared.progress import StageProgress
 from clmorph.errors import OutputError
 from clmorph.frames.sequence import Frame
@@ -18,7 +19,6 @@ from clmorph.output.options import FrameStyle
 from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Drawn
 from clmorph.output.save import Output, recorded_for, write_all
-from clmorph.output.together import write_together
 from clmorph.pipeline.mixing.weights import Layout
 from clmorph.pipeline.options import MorphOptions
 
