@@ -163,11 +163,9 @@ def test_jax_second_derivatives(any_backend, rng, reach):
         assert np.abs(np.asarray(got) - want).max() <= 1e-3 * np.abs(want).max()
 
 
-@pytest.mark.parametrize(
-    ("reach", "pairs"),
-    [(0.5, False), *(pytest.param(it, True, marks=pytest.mark.full) for it in (0.5, None))],
-)
-def test_jax_modes(rng, reach, pairs):
+@pytest.mark.full
+@pytest.mark.parametrize("reach", [0.5, None])
+def test_jax_modes(rng, reach):
     """Each mode, and each pair of modes, beside differences; compiled, mapped, and in batches."""
     jax = pytest.importorskip("jax")
     a, x, b, y = arrays(rng, 2, 3, balanced=reach is None)
@@ -189,10 +187,9 @@ def test_jax_modes(rng, reach, pairs):
         want = difference(loss), difference(jax.grad(loss))
         np.testing.assert_allclose(jax.jit(lambda x: along(loss, x))(x), want[0], rtol=1e-6)
         found = [jax.jit(jax.hessian(loss))(x)]
-        if pairs:
-            found += [one(other(loss))(x) for one in (jax.jacfwd, jax.jacrev)
-                      for other in (jax.jacfwd, jax.jacrev)]  # fmt: skip
-            found.append(jax.vmap(jax.hessian(loss))(np.stack([x, x]))[1])
+        found += [one(other(loss))(x) for one in (jax.jacfwd, jax.jacrev)
+                  for other in (jax.jacfwd, jax.jacrev)]  # fmt: skip
+        found.append(jax.vmap(jax.hessian(loss))(np.stack([x, x]))[1])
         found.append(jax.vmap(lambda x: along(jax.jacrev(loss), x))(np.stack([x, x])))
         allowed = 1e-6 * np.abs(want[1]).max()
         for each in found[:-1]:

@@ -524,10 +524,13 @@ class TestPicture:
         assert sorted(path.name for path in tmp_path.iterdir()) == sorted([first.name, second.name])
 
     def test_holds_every_panel_and_number(self, found, tmp_path):
+        """And leaves the caller's Matplotlib as it was."""
         import matplotlib
 
         with matplotlib.rc_context({"svg.fonttype": "none"}):
+            before = dict(matplotlib.rcParams)
             draw_inspection(found, tmp_path / "a.svg")
+            assert dict(matplotlib.rcParams) == before
         text = (tmp_path / "a.svg").read_text(encoding="utf-8")
         for word in (
             "Source", "Target", "Displacement of every", "Destroyed", "Created", "How far",
@@ -549,13 +552,6 @@ class TestPicture:
         half = pixels[:, : pixels.shape[1] // 2], pixels[:, pixels.shape[1] // 2 :]
         for part, color in zip(half, ((255, 0, 0), (0, 0, 255)), strict=True):
             assert np.all(part == color, axis=2).sum() > 50_000
-
-    def test_leaves_the_caller_s_matplotlib_as_it_was(self, found, tmp_path):
-        import matplotlib
-
-        before = dict(matplotlib.rcParams)
-        draw_inspection(found, tmp_path / "a.png")
-        assert dict(matplotlib.rcParams) == before
 
     def test_says_nothing_of_a_cache_of_fonts(self, tmp_path):
         """On a slow machine matplotlib does, after 5 seconds: here at once."""

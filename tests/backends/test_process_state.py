@@ -116,6 +116,7 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, words
     assert (verdicts.load_verdict("key") is not None) == lasting
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="starts a process as POSIX does")
 @pytest.mark.parametrize(
     ("body", "words"), [("time.sleep(60)", "within 1 s"), ("os.abort()", "crashed")]

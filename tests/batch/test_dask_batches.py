@@ -311,6 +311,7 @@ def test_other_file_systems(client, pictures, tmp_path):
     assert len(made) == 7
 
 
+@pytest.mark.full
 def test_labels_and_features_of_a_table(client, pictures, tmp_path):
     """The bytes are those of `clmorph morph` with the same files, whose change is noticed."""
     rng = np.random.default_rng(2)
@@ -571,6 +572,7 @@ def test_a_port_that_stays_silent_is_no_scheduler(monkeypatch):
         assert time.monotonic() - begun < 30
 
 
+@pytest.mark.full
 def test_a_client_may_follow_one_that_could_not_connect():
     """The thread of the second one may be the one that collects the first one as garbage."""
     script = """

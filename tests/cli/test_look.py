@@ -58,6 +58,7 @@ def test_exported_tables_are_applied_by_us_and_by_others(tmp_path, monkeypatch, 
             assert hald.size == (512, 512)
 
 
+@pytest.mark.full
 def test_a_table_is_fitted_in_python_as_by_the_command(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     a, b = picture("a.png", 0), picture("b.png", 1)

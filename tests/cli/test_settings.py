@@ -186,7 +186,10 @@ def test_a_dump_is_a_file_of_settings(capfd):
     assert [Path(path).resolve().name for path in found["images"]] == ["a.png", "c.png"]
 
 
-@pytest.mark.parametrize("name", list(FORMATS))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(it, marks=[pytest.mark.full] if it == "webm" else []) for it in FORMATS],
+)
 def test_every_file_can_be_made_again_from_itself(name, capfd):
     ending = (FORMATS[name].endings or ("",))[0]
     arguments = ["a.png", "b.png", "-o", f"out{ending}", "--format", name, "--frames", "3"]

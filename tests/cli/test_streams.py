@@ -52,7 +52,7 @@ def shell(line):
 
 
 #: Formats that are piped by default, too; their writers differ most.
-PIPED = ("gif", "mp4", "npz")
+PIPED = ("gif", "mp4")
 
 
 @pytest.mark.parametrize(
@@ -142,6 +142,7 @@ def test_settings_from_standard_input():
         assert one.n_frames == other.n_frames
 
 
+@pytest.mark.full
 def test_a_file_beside_it():
     """The format is that of standard output; a file that is named has its ending's."""
     done = run(*MORPH, "-o", "-", "-o", "x.webp", "--format", "gif", "--json")
@@ -192,6 +193,7 @@ def test_a_full_disk_leaves_no_file():
     assert not Path("x.gif").exists()
 
 
+@pytest.mark.full
 def test_ctrl_c_while_nobody_reads():
     """The pipe is full; the last line says that a part was written."""
     big = [*MORPH, "--canvas", "900x900", "-o", "-", "-o", "x.gif", "--format", "tiff"]

@@ -74,6 +74,7 @@ class TestLogos:
         assert np.all(np.diff([corner.mean() for corner in corners]) < 0)
         assert np.ptp(morph.frame(0.5)[:4, :4], axis=(0, 1)).max() < 1e-3
 
+    @pytest.mark.full
     def test_opaque_and_clear_backgrounds(self, device):
         """The background of the opaque one fades away."""
         pair = logo("star", ground="#ffffff"), logo("disc", ground=None)
@@ -87,6 +88,7 @@ class TestLogos:
         assert morph.frame(0.5)[32, 32, 3] == pytest.approx(0.5, abs=0.01)
         assert morph.frame(0.5)[..., 3].max() < 0.51
 
+    @pytest.mark.full
     def test_small_figures_stay_themselves(self, device):
         image = disc((64, 64), 15.0, (0.8, 0.2, 0.2))
         frame = clmorph.morph(image, image, backend=device, **SMALL).frame(0.5)
@@ -212,6 +214,7 @@ class TestLogos:
         for t in (0.25, 0.5, 0.75):
             assert morph.frame(t)[:3].min() > 0.95  # 0 if it went on
 
+    @pytest.mark.full
     def test_figures_that_reach_the_same_border_stay_there(self, device):
         """Two figures that their pictures cut, as portraits: no gap opens below them."""
         first, last = np.ones((48, 48, 3)), np.ones((48, 48, 3))
@@ -248,6 +251,7 @@ class TestLogos:
         assert np.abs(morph.frame(0.0)[..., 3] - pair[0][..., 3]).max() < 1e-5
         assert np.abs(morph.frame(1.0)[..., 3] - other[..., 3]).max() < 1e-5
 
+    @pytest.mark.full
     def test_mean_destinations_have_the_colors_of_the_target(self, device):
         pair = logo("disc"), logo("star")
         morph = clmorph.morph(*pair, backend=device, barycentric=True, **SMALL)

@@ -54,6 +54,7 @@ class TestFlow:
         images = [gaussian_filter(edge, 2) + 1e-4 * rng.normal(size=(96, 96)) for _ in range(2)]
         assert np.abs(_flow(images, FINE.radius, LONGEST, SOFTENING)).max() < 0.1
 
+    @pytest.mark.full
     @pytest.mark.parametrize("side", [48, 64, pytest.param(96, marks=pytest.mark.full)])
     def test_unlike_pictures_do_not_agree_by_chance(self, device, side):
         for names in (("portrait", "cat"), ("portrait", "photographer"), ("rocket", "coffee")):
@@ -63,8 +64,13 @@ class TestFlow:
 
 
 @pytest.mark.parametrize(
-    "kind", ["photograph", "drawing", "star", "clear star", "clear bars", "glass", "soft"]
-)
+    "kind",
+    [
+        "photograph", "star", "glass", "soft",
+        *(pytest.param(f"clear {it}", marks=pytest.mark.full) for it in ("star", "bars")),
+        pytest.param("drawing", marks=pytest.mark.full),
+    ],
+)  # fmt: skip
 def test_a_picture_becomes_itself(each_device, kind):
     """To a level of 8 bits, also where edges are mixtures with the ground."""
     y, x = np.mgrid[:64, :64]

@@ -163,7 +163,7 @@ def test_a_signal_in_a_destructor_ends_the_run_all_the_same(monkeypatch, capfd):
     def write(film, look, file, report):
         Gone(0)
         Gone(signal.SIGTERM)
-        time.sleep(5)
+        time.sleep(1)
         pytest.fail("the signal was not heard")
 
     seen = []

@@ -229,6 +229,7 @@ def test_ping_pong_loop_and_once(rng, show):
     assert course(opened, 99)[-3:] == [1, 2, 3]
 
 
+@pytest.mark.full
 def test_speed(rng, show):
     opened = show(scene_with(noise(rng, 40, (4, 4, 3)), fps=40, hold=0, loop="once"))
 
@@ -259,6 +260,7 @@ def test_at_zoom_one_the_screen_shows_the_frame_exactly(rng, show):
         assert np.array_equal(photographed(opened), frames[0])
 
 
+@pytest.mark.full
 def test_squares_and_smoothness(rng, show):
     frames = noise(rng, 2, (20, 30, 3))
     opened = show(scene_with(frames, pixelated=True))
@@ -318,6 +320,7 @@ def test_wheel_and_drag(rng, show):
     until(opened, "clmorph.zoom === 1")
 
 
+@pytest.mark.full
 def test_pinch(rng, show):
     opened = show(scene_with(noise(rng, 2, (64, 64, 3))), **PHONE)
     session = opened.context.new_cdp_session(opened)
@@ -339,6 +342,7 @@ def test_pinch(rng, show):
     assert opened.evaluate("clmorph.playing") is True
 
 
+@pytest.mark.full
 def test_a_changing_canvas_stands_still(rng, show):
     """From portrait to landscape: true scale, one center, no jump, inside the stage."""
     images = [rng.random((24, 12, 3)), rng.random((15, 30, 3))]
@@ -373,6 +377,7 @@ def arrows_shown(opened):
     return pixels(opened, "arrows")[..., 3] > 220
 
 
+@pytest.mark.full
 def test_arrows_travel(rng, show):
     field = Field([[0.25, 0.5]], [[0.5, 0.0]])
     opened = show(scene_with(noise(rng, 3, (33, 33, 3)), field=field))
@@ -395,6 +400,7 @@ def test_arrows_travel(rng, show):
     assert arrows_shown(opened) is None
 
 
+@pytest.mark.full
 def test_close_arrows_are_drawn_as_their_mean(rng, show):
     x, y = np.meshgrid(np.linspace(0, 1, 64), np.linspace(0, 1, 64))
     places = np.column_stack((x.ravel(), y.ravel()))
@@ -408,6 +414,7 @@ def test_close_arrows_are_drawn_as_their_mean(rng, show):
     assert (side / 30) ** 2 < dots < (side / 15) ** 2
 
 
+@pytest.mark.full
 def test_a_page_without_arrows_or_curves_has_no_place_for_them(rng, show):
     opened = show(scene_with(noise(rng)))
     assert opened.locator("#field").is_hidden()
@@ -451,7 +458,13 @@ def test_curves(rng, show):
     assert cursor() == pytest.approx(1, abs=0.02)
 
 
-@pytest.mark.parametrize("size", [(1280, 720), (1920, 1080), (1160, 560)])
+@pytest.mark.parametrize(
+    "size",
+    [
+        (1160, 560),
+        *(pytest.param(it, marks=pytest.mark.full) for it in ((1280, 720), (1920, 1080))),
+    ],
+)
 def test_on_a_desk_all_is_in_sight(rng, show, size):
     curves = [Curve(f"curve {k}", f"unit {k}", rng.random(4)) for k in range(5)]
     scene = scene_with(
@@ -495,6 +508,7 @@ def test_a_phone(rng, show):
     assert opened.locator("#help").bounding_box()["width"] <= 360
 
 
+@pytest.mark.full
 def test_help_and_names(rng, show):
     opened = show(scene_with(noise(rng)))
     for button in opened.locator("button:visible").all():
@@ -617,6 +631,7 @@ def test_a_long_morph_starts_at_once_and_forgets(rng, show):
         assert np.all(pixels(opened)[..., :3] == k)
 
 
+@pytest.mark.full
 def test_the_last_of_several_requests_is_shown(rng, show):
     frames = noise(rng, 40)
     opened = show(scene_with(frames))
@@ -678,6 +693,7 @@ def test_a_notebook(rng, show):
     assert frame.evaluate("clmorph.zoom") == zoom
 
 
+@pytest.mark.full
 def test_a_named_canvas_is_the_pictures_own(rng, show, tmp_path):
     """Of the source as given, also where it is shown last."""
     result = morph(rng.random((10, 12, 3)), rng.random((16, 14, 3)), 3)
@@ -686,6 +702,7 @@ def test_a_named_canvas_is_the_pictures_own(rng, show, tmp_path):
     assert pixels(opened).shape == (10, 12, 4)
 
 
+@pytest.mark.full
 def test_a_saved_chain_backwards(rng, show, tmp_path):
     """Times ascend from 0 while frames start at the last picture; a canvas may be requested."""
     images = rng.random((3, 8, 8, 3))
@@ -786,6 +803,7 @@ def test_the_page_of_a_morph_knows_its_landmarks(rng, show, tmp_path):
     assert framed.evaluate("clmorph.landmarks") == []
 
 
+@pytest.mark.full
 def test_landmarks_on_a_phone(rng, show):
     shapes = ((40, 40), (40, 40))
     scene = scene_with(noise(rng, 2, (40, 40, 3)), marks=Marks(np.zeros((0, 2, 2)), shapes))

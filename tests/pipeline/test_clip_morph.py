@@ -96,6 +96,7 @@ def test_stills_that_play_are_a_morph(device):
         assert np.abs(found - frame).max() < 1e-4
 
 
+@pytest.mark.full
 def test_other_sizes_and_opacity(device):
     """The film has the size of the first clip, and what differs gets bars."""
     wide = np.full((10, 40, 4), 255, np.uint8)

@@ -110,6 +110,7 @@ class TestCommand:
         assert "preset:" not in capfd.readouterr().err
         assert (files / "out.gif").read_bytes() == (files / "again.gif").read_bytes()
 
+    @pytest.mark.full
     def test_files_of_settings(self, files, capfd):
         (files / "mine.toml").write_text('preset = "auto"\nblur = 0.07\n')
         pair = ["logo0.png", "logo1.png"]

@@ -221,6 +221,7 @@ def test_mistakes_leave_an_old_output(tmp_path, palette, monkeypatch, refused, f
         assert words in refused("recolor", *given)
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 @pytest.mark.parametrize("name", ["SIGINT", pytest.param("SIGKILL", marks=pytest.mark.full)])
 def test_a_run_that_is_ended_leaves_an_old_output(tmp_path, name):
@@ -244,7 +245,7 @@ def test_a_run_that_is_ended_leaves_an_old_output(tmp_path, name):
         assert not list(tmp_path.glob(".clmorph-*"))
 
 
-@pytest.mark.parametrize("name", ["out.mp4", "out.webm"])
+@pytest.mark.parametrize("name", ["out.mp4", pytest.param("out.webm", marks=pytest.mark.full)])
 def test_a_browser_plays_it(browser, tmp_path, name):
     """It shows the colors of a frame in the middle, and the sound is there."""
     clip = made(tmp_path / "in.mkv", zoom(), *SINE, "-c:a", "libopus")

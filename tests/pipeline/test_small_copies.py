@@ -89,6 +89,7 @@ def test_opaque_pictures_alone(few):
     assert clmorph.morph(a, b, backend="numpy", **OPTIONS).pictures is None
 
 
+@pytest.mark.full
 def test_files_and_chains(few, tmp_path):
     a, b = photographs((30, 30), (30, 30))
     first = clmorph.morph(a, b, backend="numpy", **OPTIONS)

@@ -287,7 +287,7 @@ def test_threads_share_a_backend(device):
         result = clmorph.morph(
             rng.random((7, 6, 3)),
             rng.random((5, 6, 4)),
-            n_frames=3,
+            n_frames=2,
             path_space="lab",
             backend=backend,
         )

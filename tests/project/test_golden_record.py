@@ -31,6 +31,7 @@ def tool(monkeypatch):
     return tool
 
 
+@pytest.mark.full
 def test_make_and_compare(tool, tmp_path, monkeypatch, capsys):
     file = tmp_path / "golden.json"
     arguments = [str(file), "--device", "numpy"]

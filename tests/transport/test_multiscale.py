@@ -406,6 +406,7 @@ def test_closed_forms_with_too_few_digits_are_not_used_on_the_device(device):
     assert isinstance(new_steps(near), HostSteps)
 
 
+@pytest.mark.full
 def test_levels_without_clusters_that_join_points(monkeypatch):
     """A level takes the points themselves where few would be joined; the solution is the same."""
     pair = sharp(24)
@@ -702,6 +703,7 @@ def test_points_without_mass_over_stored_pairs(device, rng):
     same_up_to_a_constant(got, want, 0.05)
 
 
+@pytest.mark.full
 def test_without_clusters_that_save_anything(rng):
     """With a blur below the points' distance each point is a separate cluster, without any gain."""
     (a, x), (b, y) = [(np.full(60, 1 / 60), rng.random((60, 3))) for _ in range(2)]

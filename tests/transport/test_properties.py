@@ -91,6 +91,7 @@ def test_costs_scale_as_lengths_squared(seed, n, m, order, blur, reach, log_scal
     assert other.transported_mass == pytest.approx(one.transported_mass, rel=1e-4)
 
 
+@pytest.mark.full
 @MANY
 @given(seeds, sizes, sizes, orders, blurs)
 def test_values_grow_with_both_strengths(seed, n, m, order, blur):
