@@ -9,7 +9,8 @@ import math
 import operator
 import os
 import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,15 @@ def check_flag(name: str, value: Any) -> bool:
     if isinstance(value, bool | np.bool_):
         return bool(value)
     raise InputError(f"{name}={shown(value)}: expected True or False")
+
+
+@contextmanager
+def errors_about(name: str, kind: type[InputError] = InputError) -> Iterator[None]:
+    """Raise an InputError of the block as one of a kind that begins with a name."""
+    try:
+        yield
+    except InputError as error:
+        raise kind(f"{name}: {error}") from None
 
 
 def check_callable(name: str, value: Any) -> None:

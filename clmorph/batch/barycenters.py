@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from clmorph._shared.typing import ArrayLike
-from clmorph._shared.validation import shown
+from clmorph._shared.validation import errors_about, shown
 from clmorph.backends.select import get_backend
 from clmorph.batch.extra import TURN, check_client, on_workers
 from clmorph.errors import ConvergenceWarning, InputError
@@ -78,10 +78,8 @@ def barycenters(
     call = checked_call(blur, reach, epsilon, rho, tol, max_iter, fixed, debias, seed)
     known = as_many("groups", groups)
     for number, group in enumerate(known):
-        try:
+        with errors_about(f"group {number}"):
             prepared(group, weights, support, call)
-        except InputError as error:
-            raise InputError(f"group {number}: {error}") from None
     check_client(client)
     options = {
         "weights": weights, "support": support, "blur": blur, "reach": reach, "tol": tol,

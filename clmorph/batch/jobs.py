@@ -11,7 +11,7 @@ from typing import Any
 
 from clmorph._shared.options import from_line, outside_name, specifications, unknown_option
 from clmorph._shared.printable import printable
-from clmorph._shared.validation import shown
+from clmorph._shared.validation import errors_about, shown
 from clmorph.batch.places import INDEX, JOURNAL, file_identity, name_of, read_bytes, resolved
 from clmorph.errors import FileError, InputError
 from clmorph.output.formats.registry import by_ending, usual_endings
@@ -178,7 +178,7 @@ def _from_texts(where: str, row: Mapping[str, str], base: str) -> dict[str, Any]
             found[PRESET] = text
         elif plain in names:
             each = specified[names[plain]]
-            try:
+            with errors_about(f"{where}: {plain}", FileError):
                 flag = not each.kind.metavar
                 if flag and text.lower() not in FLAGS:
                     raise InputError(f"{shown(text)}: expected true or false")
@@ -186,8 +186,6 @@ def _from_texts(where: str, row: Mapping[str, str], base: str) -> dict[str, Any]
                 if plain == "landmark" and text.lower().endswith((".csv", ".txt")):
                     text = resolved(text, base)
                 found[names[plain]] = FLAGS[text.lower()] if flag else from_line(each, text)
-            except InputError as error:
-                raise FileError(f"{where}: {plain}: {error}") from None
     return found
 
 
@@ -224,10 +222,8 @@ def _made(
         where, source, target, output, dict(options), None if preset == AUTO else preset,
         dict(defaults.options), own, defaults.max_pixels, dict(beside or {}),
     )  # fmt: skip
-    try:
+    with errors_about(where, FileError):
         job.settled(job.preset)
-    except InputError as error:
-        raise FileError(f"{where}: {error}") from None
     if by_ending(Path(name_of(output))) is None:
         raise FileError(
             f"{where}: {name_of(output)}: unknown ending; expected {', '.join(usual_endings())}"

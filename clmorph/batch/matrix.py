@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph._shared.validation import check_integer, shown
+from clmorph._shared.validation import check_integer, errors_about, shown
 from clmorph.backends.select import get_backend
 from clmorph.batch.extra import TURN, check_client, on_workers
 from clmorph.errors import ConvergenceWarning, InputError
@@ -132,12 +132,10 @@ def divergence_matrix(
 def _checked(measures: list[Any]) -> list[AnyMeasure]:
     found: list[AnyMeasure] = []
     for number, measure in enumerate(measures):
-        try:
+        with errors_about(f"measure {number}"):
             # The first measure as the partner: all have one dimension.
             pair = as_pair(found[0] if found else measure, measure)
             check_symmetric(*pair)
-        except InputError as error:
-            raise InputError(f"measure {number}: {error}") from None
         found.append(pair[1])
     return found
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from clmorph._shared.options import Options
 from clmorph._shared.printable import reason_of
-from clmorph._shared.validation import shown
+from clmorph._shared.validation import errors_about, shown
 from clmorph.cli.common import quiet_libraries
 from clmorph.cli.terminal import note
 from clmorph.errors import FileError, InputError
@@ -145,11 +145,9 @@ def read_settings(
         raise InputError(
             f"{path}: preset = {shown(chosen)}: expected one of {', '.join(map(repr, names))}"
         )
-    try:
+    with errors_about(str(path), FileError):
         preset = {} if chosen in (None, AUTO) else {PRESET: chosen}
         command(**preset, **options)
-    except InputError as error:
-        raise FileError(f"{path}: {error}") from None
     _check_own(path, users)
     others = {name: Named(path, own, entries) for name, entries in beside.items()}
     return Found(options, chosen, Named(path, own, images), users, others, shows)

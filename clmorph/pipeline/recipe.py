@@ -18,7 +18,7 @@ from clmorph._shared.options import (
     unknown_option,
 )
 from clmorph._shared.printable import reason_of
-from clmorph._shared.validation import is_path, shown
+from clmorph._shared.validation import errors_about, is_path, shown
 from clmorph._shared.version import __version__
 from clmorph.errors import InputError
 from clmorph.output.bounded import MAX_TEXT
@@ -100,10 +100,8 @@ def options_of(
             names = [*known, *presets, IMAGES, *BESIDE[options], *OWN]
             raise InputError(f"{where}: {unknown_option(key, dict.fromkeys(names))}")
         name, each = known[outside]
-        try:
+        with errors_about(where):
             found[name] = from_outside(each, key, value)
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from None
     return found
 
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from clmorph._shared.typing import Progress
-from clmorph._shared.validation import check_flag, check_progress
+from clmorph._shared.validation import check_flag, check_progress, errors_about
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
-from clmorph.errors import InputError
 from clmorph.measures.many import as_many
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.checks import check_solver_options
@@ -103,10 +102,8 @@ def sinkhorn_divergence_batch(
     gradient = check_flag("gradient", gradient)
     pairs = checked_pairs(as_many("sources", sources), as_many("targets", targets))
     for number, pair in enumerate(pairs):
-        try:
+        with errors_about(problem_name(number)):
             check_symmetric(*pair)
-        except InputError as error:
-            raise InputError(f"{problem_name(number)}: {error}") from None
     operations = get_backend(backend)
 
     problems: list[tuple[AnyMeasure, AnyMeasure]] = []
@@ -142,10 +139,8 @@ def sinkhorn_divergence_batch(
     found = []
     for number, (pair, numbers) in enumerate(zip(pairs, places, strict=True)):
         cross, own_source, own_target = (solved[each] for each in numbers)
-        try:
+        with errors_about(problem_name(number)):
             divergence = combined(cross, own_source, own_target, given)
-        except InputError as error:
-            raise InputError(f"{problem_name(number)}: {error}") from None
         if gradient:
             derivatives = divergence_gradient(pair, cross, (own_source, own_target), operations)
             divergence = replace(divergence, gradient=derivatives)

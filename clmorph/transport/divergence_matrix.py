@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import AnyArray, Array, Progress
-from clmorph._shared.validation import check_progress
+from clmorph._shared.validation import check_progress, errors_about
 from clmorph.backends.select import Backend, get_backend
-from clmorph.errors import InputError
 from clmorph.measures.many import as_many
 from clmorph.measures.points import AnyMeasure, as_pair
 from clmorph.transport._solver.checks import check_solver_options
@@ -171,9 +170,7 @@ def _name(i: int, j: int) -> str:
 
 def _pair(i: int, j: int, source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
     """Return the checked measures i and j."""
-    try:
+    with errors_about(_name(i, j)):
         pair = as_pair(source, target)
         check_symmetric(*pair)
-    except InputError as error:
-        raise InputError(f"{_name(i, j)}: {error}") from None
     return pair

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import ArrayLike, Progress
-from clmorph._shared.validation import check_progress
+from clmorph._shared.validation import check_progress, errors_about
 from clmorph.backends.interface import MAX_BATCH, Operations
 from clmorph.backends.multi_device import members_of, turns
 from clmorph.backends.select import Backend, get_backend
@@ -148,10 +148,8 @@ def checked_pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasu
             return both
     pairs = []
     for number, pair in enumerate(both):
-        try:
+        with errors_about(problem_name(number)):
             pairs.append(as_pair(*pair))
-        except InputError as error:
-            raise InputError(f"{problem_name(number)}: {error}") from None
     return pairs
 
 
@@ -168,10 +166,8 @@ def solve_many(
 ) -> PotentialsBatch:
     """Solve the problems of checked pairs of measures, without a warning."""
     for number, pair in enumerate(pairs):
-        try:
+        with errors_about(name(number)):
             check_problem(*pair, given, operations, precision, tol)
-        except InputError as error:
-            raise InputError(f"{name(number)}: {error}") from None
     lists = together(pairs, given.rho, len(members_of(operations)))
     done, lock = [0.0] * len(lists), threading.Lock()
 
