@@ -138,9 +138,8 @@ def test_frames_that_jump_back_and_forth_flicker(pictures):
     a, b = pictures
     there = [(1 - t) * a + t * b for t in (0, 0.3, 0.1, 0.4, 0.2)]
     assert flicker(there) == pytest.approx(1.0 / 0.2)
-    assert flicker(crossfade(a, b, 49)) == pytest.approx(1)
-    assert film_measures(crossfade(a, b, 25), times=[0.5]).flicker == pytest.approx(1)
-    assert film_measures(crossfade(a, b, 26), times=[0.5]).flicker is None
+    assert flicker(crossfade(a, b, 25)) == pytest.approx(1)
+    assert film_measures([PICTURE] * 26, times=[0.5]).flicker is None
 
 
 def test_softer_and_torn_frames(pictures):

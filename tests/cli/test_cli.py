@@ -310,10 +310,10 @@ def test_several_files_of_one_run(pictures, capfd, refused):
 
 
 def test_a_summary_for_programs(pictures, capfd):
-    options = ["-o", "x.webm", "--frames", "5", "--duration", "3", "--json"]
+    options = ["-o", "x.gif", "--frames", "5", "--duration", "3", "--json"]
     assert main(["morph", "a.png", "b.jpg", *options]) == 0
     summary = json.loads(capfd.readouterr().out)
-    assert summary["outputs"] == [{"path": "x.webm", "format": "webm"}]
+    assert summary["outputs"] == [{"path": "x.gif", "format": "gif"}]
     assert summary["frames"] == 5
     assert summary["duration"] == pytest.approx(3)
     assert summary["sizes"][0] == [20, 12]
