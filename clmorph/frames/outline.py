@@ -7,7 +7,7 @@ smoothness asks for: in a frame of 4096 pixels that is a fraction of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +35,11 @@ ACROSS = 3.0
 #: Half of the width up to which a line is thin, as a share of the longer side: one of two thin
 #: lines that do not meet is seen, as their mean is no line.
 THIN = 1 / 64
+#: Half of the width of a fine line, as a share of the width of the Gaussian under which their share
+#: in a figure is taken; the least area that counts, and the share from which it does.
+FINE, LITTLE, MOSTLY = 0.375, 0.02, 0.7
+#: What fine lines give of a figure's area, as a share of what the rest gives.
+LEAST_FIRM = 0.05
 #: The largest share of the wider smoothing that nobody sees.
 FAINT = 0.01
 
@@ -89,6 +94,7 @@ def outline_of(
     distance_on: Callable[[Canvas], Float32],
     canvas: Canvas,
     apart: Array,
+    lines: Array,
     stage: Canvas,
     *,
     halfway: float,
@@ -100,9 +106,10 @@ def outline_of(
     """Return the outline of a figure with an area, a share of the canvas, in one frame.
 
     `distance_on` gives the mean distance on a canvas in the common frame; `apart`, on the stage, by
-    how many of its points the layers' own differ. `halfway` is 1 less the larger share of the
-    pictures, and `smoothing`, from 0 to 1, how much the outline is smoothed there. `softness` is
-    its width in pixels, and `most` the largest level.
+    how many of its points the layers' own differ, and `lines`, from 0 to 1, where it has fine
+    lines, which keep their width. `halfway` is 1 less the larger share of the pictures, and
+    `smoothing`, from 0 to 1, how much the outline is smoothed there. `softness` is its width in
+    pixels, and `most` the largest level.
     """
     longest = max(canvas.shape)
     whole = max(NARROWEST, SMOOTH * longest) * smoothing
@@ -113,6 +120,11 @@ def outline_of(
         return blurred(distance_on(on), width * max(on.shape) / longest), on
 
     distance, fine = smooth(whole * halfway)
+    if whole * halfway > 0.0 and lines.max() > FAINT:
+        sharp, on = smooth(0.0)
+        share = Enlarged(lines.astype(np.float32), affine(on, stage), on.shape).rows()
+        distance = Enlarged(distance, affine(on, fine), on.shape).rows()
+        distance, fine = distance + share * (sharp - distance), on
     # Where they are far apart, their mean has the tears of both.
     rough = np.clip(blurred(apart, 2.0) / ROUGH, 0.0, 1.0)
     if smoothing * halfway > 0.0 and rough.max() > FAINT:
@@ -129,8 +141,10 @@ def outline_of(
         edge *= np.clip(steep, np.float32(least), np.float32(1.0))
     if area >= 1 - 0.5 / (canvas.shape[0] * canvas.shape[1]):
         return Outline(fine, distance, edge, None)
-    level = level_of(distance, area, edge * np.float32(grain), most)
-    return Outline(fine, distance - np.float32(level), edge, level)
+    firm = np.maximum(1.0 - lines, LEAST_FIRM)
+    firm = Enlarged((firm / firm.max()).astype(np.float32), affine(fine, stage), fine.shape).rows()
+    level = level_of(distance / firm, area, edge * np.float32(grain) / firm, most)
+    return Outline(fine, distance - np.float32(level) * firm, edge, level)
 
 
 def level_of(
@@ -166,10 +180,28 @@ def level_of(
     return level
 
 
-def thinness(distance: Array) -> Array:
-    """Return from 0 to 1 where figures have but thin lines, from their distance in points."""
+def thinness(distances: Sequence[Array]) -> Array:
+    """Return from 0 to 1 where all figures have but thin lines, or one has but fine ones.
+
+    The mean of the distances from broad figures and from fine lines has no lines. Distances,
+    (h, w), are in points.
+    """
     from scipy.ndimage import maximum_filter
 
-    half = THIN * max(distance.shape)
-    widest = maximum_filter(distance, 2 * int(2 * half) + 1)
-    return blurred(np.clip(2.0 - widest / half, 0.0, 1.0), half)
+    half = THIN * max(distances[0].shape)
+    widest = maximum_filter(np.max(distances, axis=0), 2 * int(2 * half) + 1)
+    thin = blurred(np.clip(2.0 - widest / half, 0.0, 1.0), half)
+    return np.asarray(np.max([thin, *map(fineness, distances)], axis=0))
+
+
+def fineness(distance: Array) -> Array:
+    """Return from 0 to 1 where what one figure has around a place is fine lines."""
+    from scipy.ndimage import distance_transform_edt
+
+    width = 2 * THIN * max(distance.shape)
+    inside, broad = distance > 0, distance > FINE * width
+    # Broad parts go as far as a disk of the width of a fine line does.
+    lines = inside & (distance_transform_edt(~broad) > FINE * width + 1) if broad.any() else inside
+    share = blurred(lines.astype(float), width)
+    share /= np.maximum(blurred(inside.astype(float), width), LITTLE)
+    return np.clip((share - MOSTLY) / (1 - MOSTLY), 0.0, 1.0)

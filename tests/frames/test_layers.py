@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from drawn_pictures import logo
 from picture_pairs import deformed, picture, psnr
+from scipy.ndimage import binary_opening
 from skimage.transform import resize
 
 import clmorph
@@ -242,3 +243,22 @@ def test_edges_that_lose_contrast_have_no_halos(device):
         frame = film.frame(t)[..., 0]
         assert frame.min() > frame[distance < 0.2].min() - 0.06
         assert frame.max() < frame[distance > 0.32].max() + 0.04
+
+
+def test_fine_lines_are_seen_before_the_end(device):
+    y, x = np.mgrid[:128, :128] - 63.5
+    disc, grid = np.ones((2, 128, 128, 3))
+    disc[np.hypot(x, y) < 40] = 0
+    grid[
+        (np.maximum(abs(x), abs(y)) < 40) & ((x // 8 * 8 + 0.5 == x) | (y // 8 * 8 + 0.5 == y))
+    ] = 0
+    film = clmorph.morph(disc, grid, n_frames=9, backend=device)
+    few, many = (_fine(film.frame(t)) for t in (0.25, 0.75))
+    assert few > 0.05 * _fine(grid)
+    assert many > 0.5 * _fine(grid)
+
+
+def _fine(frame):
+    """Return the number of dark pixels of a frame that stand in lines of at most two pixels."""
+    dark = frame[..., 0] < 0.5
+    return np.count_nonzero(dark & ~binary_opening(dark, np.ones((3, 3))))
