@@ -861,7 +861,7 @@ def test_ffmpeg_sees_the_same_frames(tmp_path, rng, name, clear):
 
 @pytest.mark.parametrize(
     ("name", "most"), [("out.webp", 16383), ("out.gif", 65535), ("out.mp4", 16384),
-                       ("out.webm", 65536)]
+                       pytest.param("out.webm", 65536, marks=pytest.mark.full)]
 )  # fmt: skip
 def test_pictures_that_a_file_cannot_hold_are_refused_at_once(tmp_path, monkeypatch, name, most):
     """And the largest that it can hold are written."""

@@ -498,6 +498,7 @@ def test_a_solve_does_without_a_program_that_cannot_be_built(device, monkeypatch
     assert np.abs(got.f - want.f).max() <= 2e-3 * got.epsilon
 
 
+@pytest.mark.full
 def test_fewer_pairs_are_stored_where_all_would_be_too_many(monkeypatch):
     blur, rho = 0.05, (0.09, 0.09)
     problem, f, g, t_rows, t_columns, grid = stored_near("numpy", 24, blur, rho)
