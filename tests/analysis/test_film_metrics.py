@@ -154,6 +154,7 @@ def test_softer_and_torn_frames(pictures):
     assert relative_crumbs(gray, gray, b, 0) == pytest.approx(1 / (1 + 1e-3 / crumbs(gray)))
 
 
+@pytest.mark.full
 def test_opacity_is_over_gray(pictures):
     a, b = pictures
     alpha = np.clip(texture(7)[..., :1] * 2 - 0.5, 0, 1)
@@ -167,6 +168,7 @@ def test_opacity_is_over_gray(pictures):
     assert low_band_distance(nothing, np.full((9, 9, 3), 0.5)) == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.full
 def test_sizes_and_kinds_of_numbers_may_differ(pictures):
     """A picture with every pixel doubled is the same picture, nearly; bytes are parts of 255."""
     a, b = pictures

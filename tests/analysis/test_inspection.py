@@ -197,6 +197,7 @@ class TestNasty:
         with pytest.raises(InputError, match="transparent"):
             inspect(clear, images[1], backend="numpy")
 
+    @pytest.mark.full
     def test_opacity_leaves_pixels_without_mass(self, images, device, tmp_path):
         found = inspect(_picture((14, 11), channels=4), images[1], backend=device, **OPTIONS)
         summary = _is_json(found)
@@ -249,6 +250,7 @@ class TestNasty:
         )
         assert found.destroyed == pytest.approx(whole.destroyed, abs=1e-3)
 
+    @pytest.mark.full
     def test_a_streamed_displacement_needs_no_color(self, images):
         options = {"blur": 0.05, "color_weight": 0.0, "backend": "numpy", "divergence": False}
         whole = inspect(*images, **options)
@@ -360,7 +362,7 @@ class TestMemory:
             pytest.param(96, 0.012, {}, 3, "particles", marks=pytest.mark.full),
             pytest.param(96, 0.03, {"sample": 16}, 3, "particles", marks=pytest.mark.full),
             pytest.param(96, 0.03, {"barycentric": True}, 3, "particles", marks=pytest.mark.full),
-            (64, 0.015, {}, 4, "particles"),
+            pytest.param(64, 0.015, {}, 4, "particles", marks=pytest.mark.full),
             pytest.param(64, 0.015, {}, 4, "layers", marks=pytest.mark.full),
         ],
     )
@@ -553,6 +555,7 @@ class TestPicture:
         for part, color in zip(half, ((255, 0, 0), (0, 0, 255)), strict=True):
             assert np.all(part == color, axis=2).sum() > 50_000
 
+    @pytest.mark.full
     def test_says_nothing_of_a_cache_of_fonts(self, tmp_path):
         """On a slow machine matplotlib does, after 5 seconds: here at once."""
         script = """
@@ -574,6 +577,7 @@ check_plotting()
         assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
         assert list(tmp_path.glob("fontlist*"))
 
+    @pytest.mark.full
     def test_has_few_arrows_and_none_where_nothing_moves(self, device):
         from matplotlib.figure import Figure
 
@@ -709,6 +713,7 @@ class TestWhatAMorphWouldDraw:
         assert found.moving == len(result.plan) < found.pairs
         assert max(found.memory.needs) <= options["max_memory"]
 
+    @pytest.mark.full
     def test_cells_whose_plan_is_too_large(self):
         images = _photos(16)
         options = {"blur": 0.1, "solve_size": 8, "backend": "numpy", "divergence": False}

@@ -64,6 +64,7 @@ def test_every_combination_is_reached(start):
     assert {constants for constants in every if is_possible(constants, 256)} <= reached
 
 
+@pytest.mark.full
 def test_a_later_change_makes_an_earlier_one_worth_while(device, monkeypatch):
     start = choose_constants(device.device)
 
@@ -156,6 +157,7 @@ def test_a_fast_build_that_is_wrong_is_not_kept(device, fast_tile, monkeypatch):
     assert tuned_constants(device.device) == best
 
 
+@pytest.mark.full
 def test_quirks_come_after_tuning(device, fast_tile, monkeypatch):
     tune(device.device, lambda line: None)
     monkeypatch.setenv("CLMORPH_QUIRKS", "small_local_memory,no_float64")

@@ -544,6 +544,7 @@ def test_a_journal_with_half_a_line(tmp_path):
         assert set(journal.records) == {"a", "c"}
 
 
+@pytest.mark.full
 def test_local_workers_take_work_from_their_command_alone(monkeypatch):
     monkeypatch.setattr(workers, "TIMEOUT", 1.0)
     with local_client(["numpy"]) as client:

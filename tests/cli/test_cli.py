@@ -140,6 +140,7 @@ def interrupted(*arguments, after):
     return process.returncode, out, told + err
 
 
+@pytest.mark.full
 def test_ctrl_c_leaves_nothing(pictures):
     """In the midst of the work, through the real entry point."""
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (200, 200, 3), np.uint8)).save(

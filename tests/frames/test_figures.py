@@ -94,6 +94,7 @@ class TestLogos:
         frame = clmorph.morph(image, image, backend=device, **SMALL).frame(0.5)
         assert np.abs(frame - image).max() < 1 / 255
 
+    @pytest.mark.full
     def test_colors_change_up_to_the_rim(self, device):
         first, last = (0.8, 0.2, 0.2), (0.1, 0.4, 0.8)
         pair = disc((64, 64), 20.0, first), disc((80, 70), 24.0, last)

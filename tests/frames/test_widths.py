@@ -22,6 +22,7 @@ def test_a_sprites_width_is_half_its_block(rng):
         assert auto_sigma(large) == zoom / 2
 
 
+@pytest.mark.full
 def test_a_photographs_width_follows_its_resolution():
     photo = as_rgb(skimage.data.astronaut())[:256, 128:384]
     assert 1 <= intrinsic_spacing(photo) < 2

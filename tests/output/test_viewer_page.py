@@ -288,6 +288,7 @@ def test_squares_and_smoothness(rng, show):
     assert np.array_equal(fitted, np.kron(frames[0], np.ones((side, side, 1), np.uint8)))
 
 
+@pytest.mark.full
 def test_wheel_and_drag(rng, show):
     opened = show(scene_with(noise(rng, 2, (40, 100, 3))))
     box = opened.locator("#stage").bounding_box()

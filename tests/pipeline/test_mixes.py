@@ -57,6 +57,7 @@ def test_mixes_go_on_smoothly_from_the_border(device):
     assert np.abs(corner - FOUR[0]).max() < 1e-3
 
 
+@pytest.mark.full
 def test_order_of_the_images_does_not_matter(device):
     """But for registration, which begins with the first of two images, and the order of turns."""
     one = clmorph.mix(FOUR, [1, 2, 3, 4], backend=device)[0]

@@ -170,6 +170,7 @@ def test_a_table_recolors_a_clip(tmp_path, palette, monkeypatch):
     assert np.abs(pixels_of("b.mp4") - (255 - want)).mean() < 3
 
 
+@pytest.mark.full
 def test_the_command_is_repeated_from_its_file(tmp_path, palette, monkeypatch, capsys, few_nodes):
     monkeypatch.chdir(tmp_path)
     made(tmp_path / "in.mp4", zoom(8), *SINE)
@@ -184,6 +185,7 @@ def test_the_command_is_repeated_from_its_file(tmp_path, palette, monkeypatch, c
     assert "8 frames of 160 x 96 pixels" in capsys.readouterr().out
 
 
+@pytest.mark.full
 def test_mistakes_leave_an_old_output(tmp_path, palette, monkeypatch, refused, few_nodes):
     monkeypatch.chdir(tmp_path)
     clip = made(tmp_path / "in.mp4", zoom(), *SINE, "-movflags", "+faststart")

@@ -61,6 +61,7 @@ def test_nothing_is_spilled_on_cards():
     assert {numbers[1] for kernels in LIMITS.values() for numbers in kernels.values()} == {0}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("target", kernel_limits.AMD)
 def test_what_a_pair_takes_is_counted(target, monkeypatch):
     """From the loops that clang makes; with half as many rows a work-item reads twice as much."""
