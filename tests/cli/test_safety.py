@@ -557,6 +557,7 @@ HEADS = {
 }
 
 
+@pytest.mark.in_turns
 @pytest.mark.parametrize("name", HEADS)
 @pytest.mark.parametrize("array", ["frames", "times", "parameters", "plan_0_indptr"])
 def test_heads_of_arrays(saved, array, name):

@@ -47,6 +47,7 @@ def test_no_function_and_no_argument_is_forgotten():
 
 
 @pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
+@pytest.mark.in_turns
 @pytest.mark.parametrize(
     "name",
     [pytest.param(it, marks=[pytest.mark.full] if it in SLOW else []) for it in FUNCTIONS],
