@@ -9,7 +9,7 @@ from scipy.ndimage import binary_erosion, gaussian_filter, label
 import clmorph
 from clmorph import InputError, MorphOptions
 from clmorph.backends.numpy import NumPyOperations
-from clmorph.frames import outline, sprites
+from clmorph.frames import outline, pictures, sprites
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.fields import Field
 from clmorph.frames.moved_layer import layer_of, led_to
@@ -196,6 +196,19 @@ class TestLogos:
         first[2:30, 20:40] = last[20:60, 20:44] = 0.0
         frame = clmorph.morph(first, last, backend=device, preset="logo", **SMALL).frame(0.5)
         assert label(frame[..., 0] < 0.5)[1] == 1
+
+    def test_margins_of_large_pictures_are_continued_on_fewer_pixels(self, monkeypatch):
+        """Distances there are the same to two of these, and the picture's own are kept."""
+        y, x = np.mgrid[:96, :128]
+        canvas = Canvas((96, 128), (127.0, 127.0))
+        own = (30 - np.hypot(x - 64, y - 80)).astype(np.float32) / np.float32(127)
+        wanted = pictures._continued(own, canvas)
+        monkeypatch.setattr(pictures, "MARGIN_PIXELS", 64)
+        found = pictures._continued(own, canvas)
+        assert np.array_equal(found[16:-16, 16:-16], own)
+        assert not np.array_equal(found, wanted)
+        # A border is known to half a pixel, what goes on beyond it to three quarters of one.
+        assert 127 * np.abs(found - wanted).max() < 2 * (128 / 64)
 
     def test_a_figure_that_reaches_a_border_ends_there(self, device):
         """Of a picture that is cut to its figure nothing goes on beyond the border."""

@@ -55,7 +55,7 @@ class TestFlow:
         assert np.abs(_flow(images, FINE.radius, LONGEST, SOFTENING)).max() < 0.1
 
     @pytest.mark.full
-    @pytest.mark.parametrize("side", [48, 64, pytest.param(96, marks=pytest.mark.full)])
+    @pytest.mark.parametrize("side", [48, 64, 96])
     def test_unlike_pictures_do_not_agree_by_chance(self, device, side):
         for names in (("portrait", "cat"), ("portrait", "photographer"), ("rocket", "coffee")):
             ends = [photo(name, side) for name in names]

@@ -225,7 +225,7 @@ def test_mistakes_leave_an_old_output(tmp_path, palette, monkeypatch, refused, f
 
 @pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-@pytest.mark.parametrize("name", ["SIGINT", pytest.param("SIGKILL", marks=pytest.mark.full)])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
 def test_a_run_that_is_ended_leaves_an_old_output(tmp_path, name):
     number = getattr(signal, name)
     ffmpeg("-f", "lavfi", "-i", "testsrc2=s=320x180:r=25:d=20", *TAGS, *QUICK, tmp_path / "in.mp4")
