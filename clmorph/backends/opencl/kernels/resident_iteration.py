@@ -1,12 +1,12 @@
 """The host of both iterations on the device: what it sets, starts, awaits and reads."""
 
+import functools
 import math
 import time
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pyopencl as cl
@@ -19,43 +19,6 @@ from clmorph.backends.opencl.kernels.clouds import split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import SOURCE, Float64, IterationNumbers, ProgramError, next_source
-
-
-@dataclass(eq=False)
-class DeviceIteration:
-    """An iteration on the device, as `clmorph.backends.records.ResidentIteration` has it.
-
-    Its sides are clouds, or parts of stored pairs. The arguments of kernels stay while it goes
-    on. Of them ``rows`` and ``columns`` hold vectors, (slots, stride), and ``start`` is the
-    host's potential. With a line of `numbers` for each of many problems it is theirs.
-    """
-
-    steps: "ResidentSteps[Any]"
-    sides: tuple[Any, Any]
-    arguments: dict[str, Any]
-    numbers: Float64
-    units: tuple[float, float] = (1.0, 1.0)  #: of costs and masses on the device, powers of two
-    epsilon: float = 0.0
-    precise: bool = False
-    version: int = 0  #: changes with the buffers among the arguments
-    n_pairs: int = 0  #: pairs of points that the softmins of an iteration sum
-    prepared: Any = -1  #: the part SOURCE of the controls for which a softmin is prepared
-
-    def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
-        """Set the potential at which the next iteration begins."""
-        self.steps.set_potential(self, g, epsilon, precise)
-
-    def iterate(self, control: Any, radius: Any) -> IterationNumbers:
-        """Run one iteration, with one wait."""
-        return self.steps.iterate(self, control, radius)
-
-    def keep(self, problems: NDArray[np.intp]) -> None:
-        """Go on with some of many problems."""
-        self.steps.keep(self, problems)
-
-    def potentials(self) -> tuple[Float64, Float64, Float64]:
-        """Return f, both images of g, and T(f) after the last iteration."""
-        return self.steps.potentials(self)
 
 
 class BoundKernels:
@@ -77,7 +40,7 @@ class BoundKernels:
         self._epsilon, self._version = 0.0, 0
         self._scalars: dict[str, bytes] = {}
 
-    def bind(self, iteration: DeviceIteration, scalars: Callable[[Any], dict[str, Any]]) -> None:
+    def bind(self, iteration: "DeviceIteration") -> None:
         """Set what stays the same in an iteration, and the scalars that follow from its epsilon."""
         bound = None if self._iteration is None else self._iteration()
         if bound is not iteration or self._version != iteration.version:
@@ -87,7 +50,7 @@ class BoundKernels:
             self._iteration, self._version = weakref.ref(iteration), iteration.version
         if self._epsilon != iteration.epsilon:
             self._epsilon = 0.0
-            for name, value in scalars(iteration).items():
+            for name, value in iteration.scalars().items():
                 self.set(name, value)
             self._epsilon = iteration.epsilon
 
@@ -124,93 +87,117 @@ def _power_near(size: float) -> float:
 
 #: A kernel's name, and its global and local size.
 Launch = tuple[str, tuple[int, ...], tuple[int, ...] | None]
-T = TypeVar("T", bound=DeviceIteration)
+Method = TypeVar("Method", bound=Callable[..., Any])
 
 
-class ResidentSteps(ABC, Generic[T]):
-    """Iterations on the device.
+class ResidentSteps:
+    """What all iterations of one kind have on a device: its kernels, and its kind of numbers.
 
-    take_turns: makes methods run one at a time on a device, see `OpenCLOperations`.
+    take_turns: makes functions run one at a time on a device, see `OpenCLOperations`.
     """
 
-    #: The variant of the kernels of the iteration, and the module of what stands in their buffers.
-    variant: Variant
-    slots: Any
+    variant: Variant  #: of the kernels between softmins
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
-        self._work, self._programs, self._constants = loop.work, loop.programs, loop.constants
-        self._in_pairs = not loop.constants.float64
+        self.loop, self.take_turns = loop, take_turns
+        self.in_pairs = not loop.constants.float64
+        self.bound: dict[Any, BoundKernels] = {}
         self._is_possible: bool | None = None
-        self.set_potential = take_turns(self._set_potential)
-        self.iterate = take_turns(self._iterate)
-        self.keep = take_turns(self._keep)
-        self.potentials = take_turns(self._potentials)
 
     def is_possible(self) -> bool:
         """Return whether the device has what iterations need; its compiler is asked once."""
         if self._is_possible is None:
-            self._is_possible = self.variant.suits(self._constants)
+            self._is_possible = self.variant.suits(self.loop.constants)
             try:
                 if self._is_possible:
-                    self._programs.kernels(self.variant)
+                    self.loop.programs.kernels(self.variant)
             except ProgramError as error:
                 self._is_possible = False
                 error.tell("iterations run on the host, which is slower")
         return self._is_possible
 
-    @abstractmethod
-    def _kernels(self, iteration: T) -> BoundKernels:
-        """Return the kernels of an iteration."""
+    def units(self, cost: float, mass: float) -> tuple[float, float]:
+        """Return units in which pairs of float32 lose no digits, by the largest cost and a mass."""
+        return (_power_near(cost), _power_near(mass)) if self.in_pairs else (1.0, 1.0)
+
+    def real(self, value: float) -> Any:
+        """Return a number as kernels take it."""
+        return as_pairs(value).view("f4,f4")[()][0] if self.in_pairs else np.float64(value)
+
+    def packed(self, values: Float64) -> Any:
+        """Return numbers as kernels have them in buffers."""
+        return as_pairs(values) if self.in_pairs else values
+
+    def buffer(self, values: Float64) -> cl.Buffer:
+        """Return a buffer of numbers."""
+        packed = self.packed(np.asarray(values, float))
+        return self.loop.work.buffer(packed, packed.dtype)
+
+
+def in_turn(method: Method) -> Method:
+    """Let a method of an iteration run when no other operation does on its device."""
+
+    @functools.wraps(method)
+    def run(self: "DeviceIteration", *arguments: Any) -> Any:
+        return self.steps.take_turns(method)(self, *arguments)
+
+    return cast(Method, run)
+
+
+class DeviceIteration(ABC):
+    """An iteration on the device, as `clmorph.backends.records.ResidentIteration` has it.
+
+    Its sides are clouds, or parts of stored pairs. The arguments of kernels stay while it goes
+    on. Of them ``rows`` and ``columns`` hold vectors, (slots, stride), and ``start`` is the
+    host's potential. With a line of `numbers` for each of many problems it is theirs. The units
+    are those of costs and masses on the device, powers of two.
+    """
+
+    slots: Any  #: the module of what stands in buffers
+    numbers: Float64
+    epsilon, precise = 0.0, False
+    version = 0  #: changes with the buffers among the arguments
+    n_pairs = 0  #: pairs of points that the softmins of an iteration sum
+    prepared: Any = -1  #: the part SOURCE of the controls for which a softmin is prepared
+
+    def __init__(
+        self, steps: Any, sides: tuple[Any, Any], units: tuple[float, float],
+        arguments: dict[str, Any],
+    ) -> None:  # fmt: skip
+        self.steps, self.sides, self.units, self.arguments = steps, sides, units, arguments
+        self.loop: RowLoop = steps.loop
 
     @abstractmethod
-    def _launches(self, iteration: T, prepare: bool) -> Iterator[Launch]:
+    def _kernels(self) -> BoundKernels:
+        """Return the kernels of the iteration."""
+
+    @abstractmethod
+    def _launches(self, prepare: bool) -> Iterator[Launch]:
         """Return the launches of an iteration; with `prepare` the first softmin is prepared."""
 
     @abstractmethod
-    def _begin(self, iteration: T, g: Float64) -> dict[str, Float64]:
+    def _begin(self, g: Float64) -> dict[str, Float64]:
         """Return what a new potential g leaves in buffers, by their names."""
 
-    @abstractmethod
     def _in_order(self, side: Any, values: Float64) -> Float64:
         """Return values of a side in the caller's order."""
+        return values
 
-    def _keep(self, iteration: T, problems: NDArray[np.intp]) -> None:
+    def keep(self, problems: NDArray[np.intp]) -> None:
         """Go on with some of many problems."""
+        assert len(problems) == 1
 
-    def _scalars(self, iteration: T) -> dict[str, Any]:
+    def scalars(self) -> dict[str, Any]:
         """Return the arguments that follow from epsilon."""
-        epsilon = iteration.epsilon / iteration.units[0]
-        return {"k": self._real(LOG2_E / epsilon), "epsilon": self._real(epsilon)}
+        epsilon, real = self.epsilon / self.units[0], self.steps.real
+        return {"k": real(LOG2_E / epsilon), "epsilon": real(epsilon)}
 
-    def _chosen_units(self, cost: float, mass: float) -> tuple[float, float]:
-        """Return units in which pairs of float32 lose no digits, by the largest cost and a mass."""
-        if not self._in_pairs:
-            return 1.0, 1.0
-        return _power_near(cost), _power_near(mass)
-
-    def _real(self, value: float) -> Any:
-        """Return a number as kernels take it."""
-        return as_pairs(value).view("f4,f4")[()][0] if self._in_pairs else np.float64(value)
-
-    def _packed(self, values: Float64) -> Any:
-        """Return numbers as kernels have them in buffers."""
-        return as_pairs(values) if self._in_pairs else values
-
-    def _buffer(self, values: Float64) -> cl.Buffer:
-        """Return a buffer of numbers."""
-        packed = self._packed(np.asarray(values, float))
-        return self._work.buffer(packed, packed.dtype)
-
-    def _read(self, iteration: T, values: Float64) -> Float64:
-        """Return potentials, in the caller's units, from what was read."""
-        return of_pairs(values) * iteration.units[0] if self._in_pairs else values
-
-    def _found(self, iteration: T) -> IterationNumbers:
+    def _found(self) -> IterationNumbers:
         """Return the numbers that were read, in the caller's units."""
-        names, numbers = self.slots.NUMBERS, iteration.numbers
-        if self._in_pairs:
+        names, numbers = self.slots.NUMBERS, self.numbers
+        if self.steps.in_pairs:
             numbers[...] = of_pairs(numbers)
-            cost, mass = iteration.units
+            cost, mass = self.units
             scales = {"MASS": mass, "ROW_DUAL": cost * mass, "COLUMN_DUAL": cost * mass}
             for place, name in enumerate(names):
                 numbers[..., place] *= scales.get(name, cost if name == "MOVED" else 1.0)
@@ -222,77 +209,82 @@ class ResidentSteps(ABC, Generic[T]):
             (found["ROW_FINITE"] == 0) & (found["COLUMN_FINITE"] == 0), found.get("MOVED", 0.0),
         )  # fmt: skip
 
-    def _tell(self, iteration: T, bound: BoundKernels, control: Any, radius: Any) -> list[cl.Event]:
+    def _tell(self, bound: BoundKernels, control: Any, radius: Any) -> list[cl.Event]:
         """Tell kernels of the next iteration, and return what they have to wait for."""
         bound.set("control", np.uint32(control))
-        bound.set("radius", self._real(radius))
+        bound.set("radius", self.steps.real(radius))
         return []
 
-    def _set_potential(self, iteration: T, g: Float64, epsilon: float, precise: bool) -> None:
+    @in_turn
+    def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
         """Write the potential at which the next iteration begins; see `ResidentIteration`."""
-        iteration.epsilon, iteration.precise, iteration.prepared = epsilon, precise, -1
-        for name, content in self._begin(iteration, np.asarray(g, float)).items():
-            buffer = iteration.arguments[name]
-            cl.enqueue_copy(self._work.queue, buffer, content, is_blocking=True)
+        self.epsilon, self.precise, self.prepared = epsilon, precise, -1
+        for name, content in self._begin(np.asarray(g, float)).items():
+            buffer, content = self.arguments[name], self.steps.packed(content)
+            cl.enqueue_copy(self.loop.work.queue, buffer, content, is_blocking=True)
 
-    def _iterate(self, iteration: T, control: Any, radius: Any) -> IterationNumbers:
+    @in_turn
+    def iterate(self, control: Any, radius: Any) -> IterationNumbers:
         """Enqueue one iteration, wait for it, and return its numbers."""
         check_cancelled()
-        queue, bound = self._work.queue, self._kernels(iteration)
-        bound.bind(iteration, self._scalars)
-        prepare = bool(np.any(iteration.prepared != control & SOURCE))
-        iteration.prepared, events = -1, list[cl.Event]()
+        queue, bound = self.loop.work.queue, self._kernels()
+        bound.bind(self)
+        prepare = bool(np.any(self.prepared != control & SOURCE))
+        self.prepared, events = -1, list[cl.Event]()
         launched, began = list[tuple[cl.Kernel, cl.Event]](), time.perf_counter()
         try:
-            events += self._tell(iteration, bound, control, radius)
-            for name, size, group in self._launches(iteration, prepare):
+            events += self._tell(bound, control, radius)
+            for name, size, group in self._launches(prepare):
                 kernel, before = bound.kernels[name], events[-1:]
                 events.append(
                     cl.enqueue_nd_range_kernel(queue, kernel, size, group, wait_for=before)
                 )
                 launched.append((kernel, events[-1]))
+            numbers = self.arguments["numbers"]
             events.append(
                 cl.enqueue_copy(
-                    queue, iteration.numbers, iteration.arguments["numbers"],
-                    is_blocking=False, wait_for=events[-1:],
+                    queue, self.numbers, numbers, is_blocking=False, wait_for=events[-1:]
                 )
-            )  # fmt: skip
+            )
             events[-1].wait()
         except BaseException:
             # Ctrl-C may come between a command and the list of its event.
             queue.finish()
             raise
         if bound.budget:
-            bound.budget.learn(iteration.n_pairs, time.perf_counter() - began)
+            bound.budget.learn(self.n_pairs, time.perf_counter() - began)
         for kernel, event in launched:
-            self._work.note(kernel, event)
-        found = self._found(iteration)
-        iteration.prepared = next_source(control, found.extrapolated)
+            self.loop.work.note(kernel, event)
+        found = self._found()
+        self.prepared = next_source(control, found.extrapolated)
         return found
 
-    def _potentials(self, iteration: T) -> tuple[Float64, Float64, Float64]:
+    @in_turn
+    def potentials(self) -> tuple[Float64, Float64, Float64]:
         """Return f, both images of g, (2, M), and T(f) after the last iteration."""
-        slots, (rows, columns), found, events = self.slots, iteration.sides, [], []
+        (rows, columns), found, events = self.sides, [], []
         places = (
-            (rows, "rows", slots.ROW_SLOTS.index("SHIFTED"), 1),
-            (columns, "columns", slots.COLUMN_SLOTS.index("IMAGE_0"), 2),
-            (columns, "columns", slots.COLUMN_SLOTS.index("SOFTMIN"), 1),
+            (rows, "rows", self.slots.ROW_SLOTS.index("SHIFTED"), 1),
+            (columns, "columns", self.slots.COLUMN_SLOTS.index("IMAGE_0"), 2),
+            (columns, "columns", self.slots.COLUMN_SLOTS.index("SOFTMIN"), 1),
         )
         try:
             for side, name, slot, count in places:
                 found.append(np.empty((count, side.stride)))
                 events.append(
                     cl.enqueue_copy(
-                        self._work.queue, found[-1], iteration.arguments[name],
+                        self.loop.work.queue, found[-1], self.arguments[name],
                         src_offset=8 * slot * side.stride, is_blocking=False,
                     )
                 )  # fmt: skip
         finally:
             if events:
                 cl.wait_for_events(events)
+        if self.steps.in_pairs:
+            found = [of_pairs(values) * self.units[0] for values in found]
         f, *images, t_columns = (
             self._in_order(side, each)
             for (side, *_), values in zip(places, found, strict=True)
-            for each in self._read(iteration, values[:, : len(side)])
+            for each in values[:, : len(side)]
         )
         return f, np.array(images), t_columns

@@ -1,23 +1,13 @@
 """The host of ``cl_kernels/sparse_half_steps.cl``: iterations over stored pairs on the device."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import NDArray
 
 from clmorph.backends.interface import MEMORY
-from clmorph.backends.opencl.build import sparse_half_step_slots
-from clmorph.backends.opencl.build.sparse_half_step_slots import (
-    COLUMN_SLOTS,
-    GIVEN,
-    LARGEST_CHANGE,
-    NUMBERS,
-    PARTIALS,
-    ROW_SLOTS,
-)
+from clmorph.backends.opencl.build import sparse_half_step_slots as slots
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.clouds import pad
 from clmorph.backends.opencl.kernels.resident_iteration import (
@@ -61,143 +51,135 @@ ARGUMENTS = {name: (*_STAGE, *own) for name, own in _OWN.items()}
 MOST_MEMORY = 7 / 8
 
 
-@dataclass(eq=False, kw_only=True)
-class StoredIteration(DeviceIteration):
-    """An iteration over the pairs that are stored by row and by column.
-
-    It has the potential of the columns for which they were stored, which columns have mass, and
-    the midrange of the changes of f at the center of the trust region, cost units.
-    """
-
-    pairs: tuple[Side, Side]
-    origin: Float64
-    counted: NDArray[np.bool_]
-    row_middle: float
-
-
-class StoredSteps(ResidentSteps[StoredIteration]):
+class StoredSteps(ResidentSteps):
     """Iterations over stored pairs.
 
     most_groups: largest number of work-groups of a loop over vectors.
     """
 
-    variant, slots = Variant("sparse_half_steps.cl"), sparse_half_step_slots
+    variant = Variant("sparse_half_steps.cl")
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         super().__init__(loop, take_turns)
-        self._bound: BoundKernels | None = None
         units = loop.work.device.max_compute_units
         self.most_groups: int = min(MOST_GROUPS, GROUPS_PER_UNIT * units)
 
     def start_stored_iteration(
-        self,
-        stored: StoredPairs,
-        vectors: tuple[StoredVectors, StoredVectors],
-        center: Float64,
-        inverse_rho: tuple[float, float],
-        over: StoredIteration | None = None,
-    ) -> StoredIteration | None:
+        self, stored: StoredPairs, vectors: tuple[StoredVectors, StoredVectors], center: Float64,
+        inverse_rho: tuple[float, float], over: "StoredIteration | None" = None,
+    ) -> "StoredIteration | None":  # fmt: skip
         """Put the vectors of an iteration on the device, or return None."""
         if not self.is_possible():
             return None
-        pairs: tuple[Side, Side] = stored.pairs
-        self._kernels()
-        buffers = self._buffers(pairs) if over is None else over.arguments
+        self.kernels()
+        buffers = self._buffers(stored.pairs) if over is None else over.arguments
         if buffers is None:
             return None
-        rows, columns = vectors
-        largest = max(float(np.abs(x).max()) for x in (rows.alone, columns.alone, center))
-        units = self._chosen_units(largest, float(rows.masses.sum()))
-        self._give(buffers["given_rows"], pairs[0], units, rows, center)
-        self._give(buffers["given_columns"], pairs[1], units, columns)
-        moved = (center - rows.origin)[rows.masses > 0]
-        sides = pairs[0].rows, pairs[1].rows
-        n, m = (side.stride for side in sides)
-        sizes = {"n": n, "m": m, "groups": self._groups(max(n, m))}
-        rates, masses = (
-            np.multiply(inverse_rho, units[0]),
-            (rows.masses.sum(), columns.masses.sum()),
-        )
-        given = *rates, *np.divide(masses, units[1])
-        arguments = {
-            **buffers,
-            **{name: np.uint32(size) for name, size in sizes.items()},
-            **dict(zip((*_RATES, *_MASSES), map(self._real, given), strict=True)),
-        }  # fmt: skip
-        return StoredIteration(
-            self, sides, arguments, np.zeros(len(NUMBERS)), units,
-            pairs=pairs, origin=columns.origin, counted=columns.masses > 0,
-            row_middle=0.5 * float(moved.min() + moved.max()),
-        )  # fmt: skip
+        return StoredIteration(self, stored.pairs, buffers, vectors, center, inverse_rho)
 
     def _buffers(self, pairs: tuple[Side, Side]) -> dict[str, cl.MemoryObject] | None:
         """Return the buffers of an iteration, or None if the device's memory is too small."""
         rows, columns = (side.rows.stride for side in pairs)
         longest = max(rows, columns)
         sizes = {
-            "given_rows": 8 * len(GIVEN) * rows, "given_columns": 8 * (len(GIVEN) - 1) * columns,
-            "rows": 8 * len(ROW_SLOTS) * rows,
-            "columns": 8 * (len(COLUMN_SLOTS) - 2 + 2 * MEMORY) * columns,
+            "given_rows": 8 * len(slots.GIVEN) * rows,
+            "given_columns": 8 * (len(slots.GIVEN) - 1) * columns,
+            "rows": 8 * len(slots.ROW_SLOTS) * rows,
+            "columns": 8 * (len(slots.COLUMN_SLOTS) - 2 + 2 * MEMORY) * columns,
             "start": 8 * columns, "maxima": 4 * longest, "sums": 4 * longest,
             "row_changes": 4 * rows, "column_changes": 4 * columns,
-            "partials": 16 * PARTIALS * self._groups(longest), "newest": 8 * MEMORY,
-            "products": 8 * MEMORY**2, "numbers": 8 * len(NUMBERS),
+            "partials": 16 * slots.PARTIALS * self.groups(longest), "newest": 8 * MEMORY,
+            "products": 8 * MEMORY**2, "numbers": 8 * len(slots.NUMBERS),
         }  # fmt: skip
-        device = self._work.device
+        device = self.loop.work.device
         largest, total = max(sizes.values()), sum(sizes.values())
-        if largest > MOST_MEMORY * device.max_mem_alloc_size:
-            return None
-        if total > MOST_MEMORY * (device.global_mem_size // 4):
+        limits = (
+            MOST_MEMORY * device.max_mem_alloc_size,
+            MOST_MEMORY * (device.global_mem_size // 4),
+        )
+        if largest > limits[0] or total > limits[1]:
             return None
         try:
-            return {name: self._work.empty(size) for name, size in sizes.items()}
+            return {name: self.loop.work.empty(size) for name, size in sizes.items()}
         except (cl.MemoryError, MemoryError):
             return None
 
-    def _give(
-        self, buffer: cl.MemoryObject, side: Side, units: tuple[float, float],
-        vectors: StoredVectors, *more: Float64,
+    def groups(self, stride: int) -> int:
+        """Return the number of work-groups of the loops over vectors of a length."""
+        constants = self.loop.constants
+        return min(self.most_groups, -(-stride // (constants.group * constants.lanes)))
+
+    def kernels(self) -> BoundKernels:
+        """Return the kernels of all iterations."""
+        if None not in self.bound:
+            kernels = self.loop.programs.kernels(self.variant)
+            sums = self.loop.programs.kernels(Variant("sliced_ellpack.cl"))
+            self.bound[None] = BoundKernels(
+                {**kernels, "sum_stored": sums["sum_stored"]}, ARGUMENTS
+            )
+        return self.bound[None]
+
+
+class StoredIteration(DeviceIteration):
+    """An iteration over the pairs that are stored by row and by column."""
+
+    slots = slots
+
+    def __init__(
+        self, steps: StoredSteps, pairs: tuple[Side, Side], buffers: dict[str, cl.MemoryObject],
+        vectors: tuple[StoredVectors, StoredVectors], center: Float64,
+        inverse_rho: tuple[float, float],
     ) -> None:  # fmt: skip
+        rows, columns = vectors
+        largest = max(float(np.abs(x).max()) for x in (rows.alone, columns.alone, center))
+        units = steps.units(largest, float(rows.masses.sum()))
+        super().__init__(steps, (pairs[0].rows, pairs[1].rows), units, dict(buffers))
+        self.numbers, self._pairs = np.zeros(len(slots.NUMBERS)), pairs
+        self._origin, self._counted = columns.origin, columns.masses > 0
+        self._give("given_rows", self.sides[0].stride, rows, center)
+        self._give("given_columns", self.sides[1].stride, columns)
+        moved = (center - rows.origin)[rows.masses > 0]
+        #: The midrange of the changes of f at the center of the trust region, cost units.
+        self._row_middle = 0.5 * float(moved.min() + moved.max())
+        n, m = (side.stride for side in self.sides)
+        sizes = {"n": n, "m": m, "groups": steps.groups(max(n, m))}
+        rates, masses = np.multiply(inverse_rho, units[0]), [own.masses.sum() for own in vectors]
+        given = *rates, *np.divide(masses, units[1])
+        self.arguments |= {name: np.uint32(size) for name, size in sizes.items()}
+        self.arguments |= dict(zip((*_RATES, *_MASSES), map(steps.real, given), strict=True))
+
+    def _give(self, name: str, stride: int, vectors: StoredVectors, *more: Float64) -> None:
         """Write the vectors of a side that the host has."""
-        masses = vectors.masses / units[1]
+        masses = vectors.masses / self.units[1]
         with np.errstate(divide="ignore"):
             logarithms = np.log(masses)
         costs = vectors.base, vectors.alone, vectors.origin, *more
-        own = masses, logarithms, *(each / units[0] for each in costs)
+        own = masses, logarithms, *(each / self.units[0] for each in costs)
         # Points that pad a side have no mass.
-        fillers = {"LOG_WEIGHTS": -np.inf}
-        values = np.stack([
-            pad(each, side.rows.stride, fillers.get(name, 0.0))
-            for name, each in zip(GIVEN[: len(own)], own, strict=True)
-        ])  # fmt: skip
-        cl.enqueue_copy(self._work.queue, buffer, self._packed(values), is_blocking=True)
+        fillers = 0.0, -np.inf, *(0.0 for _ in costs)
+        values = [pad(each, stride, filler) for each, filler in zip(own, fillers, strict=True)]
+        buffer, packed = self.arguments[name], self.steps.packed(np.stack(values))
+        cl.enqueue_copy(self.loop.work.queue, buffer, packed, is_blocking=True)
 
-    def _groups(self, stride: int) -> int:
-        """Return the number of work-groups of the loops over vectors of a length."""
-        return min(self.most_groups, -(-stride // (self._constants.group * self._constants.lanes)))
-
-    def _begin(self, iteration: StoredIteration, g: Float64) -> dict[str, Float64]:
-        k = LOG2_E / iteration.epsilon
-        changes = (g - iteration.origin)[iteration.counted] * k
-        np.clip(changes, -LARGEST_CHANGE, LARGEST_CHANGE, out=changes)
-        iteration.numbers[:] = 0.0
-        middles = k * iteration.row_middle, 0.5 * float(changes.min() + changes.max())
+    def _begin(self, g: Float64) -> dict[str, Float64]:
+        k = LOG2_E / self.epsilon
+        changes = (g - self._origin)[self._counted] * k
+        np.clip(changes, -slots.LARGEST_CHANGE, slots.LARGEST_CHANGE, out=changes)
+        self.numbers[:] = 0.0
+        middles = k * self._row_middle, 0.5 * float(changes.min() + changes.max())
         for name, middle in zip(("ROW_NEXT", "COLUMN_NEXT"), middles, strict=True):
-            iteration.numbers[NUMBERS.index(name)] = middle
-        start = pad(g / iteration.units[0], iteration.sides[1].stride, 0.0)
-        return {"start": self._packed(start), "numbers": self._packed(iteration.numbers)}
+            self.numbers[slots.NUMBERS.index(name)] = middle
+        start = pad(g / self.units[0], self.sides[1].stride, 0.0)
+        return {"start": start, "numbers": self.numbers}
 
-    def _in_order(self, side: Any, values: Float64) -> Float64:
-        return values
-
-    def _launches(self, iteration: StoredIteration, prepare: bool) -> Iterator[Launch]:
-        own, sums = iteration.arguments, self._kernels().kernels["sum_stored"]
-        group, width = self._constants.group, self._constants.width
+    def _launches(self, prepare: bool) -> Iterator[Launch]:
+        own, sums = self.arguments, self._kernels().kernels["sum_stored"]
+        group, width = self.loop.constants.group, self.loop.constants.width
         size = (int(own["groups"]) * group,)
         if prepare:
             yield PREPARATION, size, (group,)
         for side, changes in enumerate(("column_changes", "row_changes")):
-            for part in iteration.pairs[side].parts:
+            for part in self._pairs[side].parts:
                 arguments = *part.arguments, own[changes], own["maxima"], own["sums"]
                 for number, argument in enumerate(arguments):
                     sums.set_arg(number, argument)
@@ -206,9 +188,5 @@ class StoredSteps(ResidentSteps[StoredIteration]):
                 yield name, size, (group,)
         yield END, (group,), (group,)
 
-    def _kernels(self, iteration: StoredIteration | None = None) -> BoundKernels:
-        if self._bound is None:
-            kernels = self._programs.kernels(self.variant)
-            sums = self._programs.kernels(Variant("sliced_ellpack.cl"))
-            self._bound = BoundKernels({**kernels, "sum_stored": sums["sum_stored"]}, ARGUMENTS)
-        return self._bound
+    def _kernels(self) -> BoundKernels:
+        return self.steps.kernels()
