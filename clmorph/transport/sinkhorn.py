@@ -25,10 +25,9 @@ from clmorph.transport._solver.checks import (
     choose_truncation,
     is_large,
 )
-from clmorph.transport._solver.iteration import SHORT, Iteration
+from clmorph.transport._solver.iteration import SHORT, Iteration, Outcome
 from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.state import Outcome, measured
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import AlgorithmOptions, Method, Precision, Reach, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
@@ -227,7 +226,7 @@ def _take_all_pairs(ended: Outcome, epsilon: float) -> None:
     problem, state = ended.problem, ended.state
     for softmin in (problem.to_rows, problem.to_columns):
         softmin.release()
-    ended.state = measured(problem, state.f, state.g, epsilon)
+    ended.state = problem.measured(state.f, state.g, epsilon)
     if ended.state.residual > ended.tol and ended.status == "converged":
         ended.status = "precision"
 
@@ -243,7 +242,7 @@ def _geomloss(
     rounding = problem.rounding(given.epsilon, precise=False)
     precise = precision == "float64" or (precision == "auto" and rounding > 0.1 * tol)
     f, g, n_iter = geomloss_schedule.run(problem, given.blur, scaling, precise, report)
-    state = measured(problem, f, g, given.epsilon)
+    state = problem.measured(f, g, given.epsilon)
     residual = state.residual
     return Potentials(
         f, g, given.blur, given.reach,

@@ -12,10 +12,9 @@ from clmorph._shared.typing import Array
 from clmorph.measures.cluster import Clusters, make_clusters
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.coarse_grid import expanded
-from clmorph.transport._solver.iteration import Iteration, top_blur
-from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.iteration import Iteration
+from clmorph.transport._solver.problem import Problem, State
 from clmorph.transport._solver.softmin import Softmin, many_pairs
-from clmorph.transport._solver.state import State
 
 #: Side of the clusters at a level, in units of its blur.
 ANNEALING_SIDE = 1.0
@@ -64,7 +63,7 @@ def anneal(
     The measures `pair` are those of the problem `finest`: the points, or clusters of them. Its
     softmins receive first guesses.
     """
-    top = top_blur(problem.largest_cost)
+    top = problem.top_blur
     levels: list[_Level] = []
     while len(pair[0]) * len(pair[1]) > FEW_PAIRS and blur < top:
         blur *= 2

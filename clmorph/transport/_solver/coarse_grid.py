@@ -10,9 +10,8 @@ from clmorph.backends.interface import MAX_EXPONENT
 from clmorph.backends.records import ProgramError, ResidentIteration, StoredPairs, StoredVectors
 from clmorph.measures.cluster import Clusters
 from clmorph.measures.points import AnyMeasure
-from clmorph.transport._solver.problem import MASS_ROUNDING, Problem, has_closed_form
+from clmorph.transport._solver.problem import MASS_ROUNDING, Problem
 from clmorph.transport._solver.softmin import Softmin, check_finite
-from clmorph.transport._solver.state import dual_rounding
 from clmorph.transport.certificate import Side
 
 
@@ -206,12 +205,11 @@ class StoredProblem(CorrectedProblem):
 
     def start_iteration(self) -> ResidentIteration | None:
         """Return the device's iteration; None where closed forms of penalties have few digits."""
-        enough = dual_rounding(self, self._epsilon, False) / PLAN_CHANGE
+        enough = self.dual_rounding(self._epsilon, False) / PLAN_CHANGE
         rounding = MASS_ROUNDING if self.operations.has_float64 else PAIR_ROUNDING
-        for mass, inverse in zip(self.masses, self.inverse_rho, strict=True):
-            if inverse and not has_closed_form(
-                mass, self._plan_mass, inverse, self._epsilon, enough, rounding
-            ):
+        given = self._plan_mass, self._epsilon, enough, rounding
+        for side, inverse in enumerate(self.inverse_rho):
+            if inverse and not self.has_closed_form(side, *given):
                 return None
         (to_rows, to_columns), (of_rows, of_columns) = self.softmins, self.corrections
         self._started = self.operations.start_stored_iteration(

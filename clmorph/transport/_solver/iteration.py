@@ -7,7 +7,9 @@ Numbers of one problem are arrays of many (`_solver.reductions`), which step tog
 """
 
 import functools
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,21 +17,11 @@ import numpy as np
 from clmorph._shared.progress import Share
 from clmorph._shared.typing import Array, IntArray
 from clmorph.transport._solver.batch import one_of, some
-from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.state import (
-    ROUNDING_MARGIN,
-    Outcome,
-    State,
-    needs_more,
-    share_done,
-    slack_of,
-)
+from clmorph.transport._solver.problem import ROUNDING_MARGIN, Problem, State
 from clmorph.transport._solver.steps import Steps, new_steps
 
 #: Factor between the blurs of the annealing.
 ANNEALING = 0.5
-#: The annealing begins below this share of the joint diameter of both measures.
-TOP = 0.5
 #: There is no annealing where damping alone contracts the iteration by at least this factor.
 EASY = 0.5
 #: Residual, in units of its own epsilon, at which the iteration leaves a level before the last.
@@ -55,6 +47,27 @@ STOPPED = 1 / 16
 #: The iteration changes from float32 to better exponents at this many times the measured rounding
 #: of float32.
 LEAVING_MARGIN = 4.0
+
+
+@dataclass
+class Outcome:
+    """The solve of one problem, with the numbers of `Iteration`."""
+
+    problem: Problem
+    tol: float
+    precision: str
+    state: State
+    status: str
+    residuals: list[float]
+    n_softmin: int
+    softmins: int  #: of an iteration
+    rounding: float
+    precise: bool
+
+    @property
+    def n_iter(self) -> int:
+        """Iterations so far."""
+        return -(-self.n_softmin // self.softmins)
 
 
 class Iteration:
@@ -136,7 +149,7 @@ class Iteration:
     def run(self, start: Array | None = None) -> None:
         """Iterate from potentials g, or from the largest blur of each problem's annealing."""
         problem, columns = self.problem, self.problem.of_columns
-        tops = np.atleast_1d(top_blur(problem.largest_cost))
+        tops = np.atleast_1d(problem.top_blur)
         before = np.zeros_like(self.g)
         levels = []
         if start is not None:
@@ -150,7 +163,7 @@ class Iteration:
             # Potentials are close to linear in epsilon, so the line through the last two levels is
             # continued to the next one.
             beyond = (tops > level / ANNEALING) & (number > 0)
-            more = needs_more(problem, self.precision, epsilon, self._level_tol)
+            more = problem.needs_more(self.precision, epsilon, self._level_tol)
             for precise in (False, True):
                 numbers = np.flatnonzero((tops > level) & (more == precise))
                 if not len(numbers):
@@ -180,7 +193,7 @@ class Iteration:
         """Iterate in float32 as far as its rounding allows, then with better exponents."""
         problem, epsilon, limit = self.problem, self._blur**2, self._max_iter
         operations, exact = problem.operations, problem.exact_sums
-        self.precise[:] = needs_more(problem, self.precision, epsilon, self.tol)
+        self.precise[:] = problem.needs_more(self.precision, epsilon, self.tol)
         left = [(which, np.flatnonzero(self.precise == which)) for which in (False, True)]
         if self.precision == "auto" and operations.exponent_roundoff > operations.precise_roundoff:
             tol = np.full(len(self._everyone), self.tol)
@@ -278,7 +291,7 @@ class Iteration:
             noise = of.larger(noise, of.choose(guessed, 0.0, NOISE_MARGIN * (floor - dual)))
             live = running
             if of.any(guessed):
-                slack = noise + slack_of(problem, floor, rounding, mass, epsilon)
+                slack = noise + problem.slack(floor, rounding, mass, epsilon)
                 bad = of.without(guessed, dual >= floor - slack)
                 steps.accept(of.without(guessed, bad))
                 if of.any(bad):
@@ -352,6 +365,10 @@ def annealing(problem: Problem, blur: float, top: float, max_iter: int) -> list[
     return levels[::-1]
 
 
-def top_blur(largest_cost: Any) -> Any:
-    """Return the blur below which the annealing begins, by the largest cost."""
-    return TOP * np.sqrt(2 * largest_cost)
+def share_done(first: float, residual: float, tol: float) -> float:
+    """Return the share of the work that is done, if residuals fall geometrically."""
+    if residual <= tol or first <= tol:
+        return 1.0
+    if not math.isfinite(residual):
+        return 0.0
+    return min(1.0, max(0.0, math.log(first / residual) / math.log(first / tol)))

@@ -29,22 +29,14 @@ from clmorph.transport._solver.coarse_grid import (
     expanded,
     stored_grid,
 )
-from clmorph.transport._solver.iteration import Iteration
-from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.iteration import Iteration, Outcome, share_done
+from clmorph.transport._solver.problem import ROUNDING_MARGIN, Problem, State
 from clmorph.transport._solver.softmin import (
     LEAST_RESERVE,
     RESERVE,
     SETTLED_RESERVE,
     Softmin,
     many_pairs,
-)
-from clmorph.transport._solver.state import (
-    ROUNDING_MARGIN,
-    Outcome,
-    State,
-    measured,
-    needs_more,
-    share_done,
 )
 
 #: Candidate sides of the clusters at the last blur, in units of this blur, and a bound for each:
@@ -223,7 +215,7 @@ class Multiscale(Outcome):
         """Solve a coarse problem from potentials g to a residual."""
         # Exponents of stored pairs are small, so float32 is enough for them.
         stored = isinstance(grid.problem, StoredProblem)
-        precise = not stored and needs_more(grid.problem, self.precision, self._blur**2, tol)
+        precise = not stored and grid.problem.needs_more(self.precision, self._blur**2, tol)
         iteration = Iteration(
             grid.problem, self._blur, tol, self._max_iter,
             "auto" if precise else "float32", ignore, certify=False,
@@ -255,7 +247,7 @@ class Multiscale(Outcome):
         waits = True  # whether iterations over the points may lead to pairs that can be stored
         while True:
             # Lists of near pairs leave out large exponents, so the bound can fall meanwhile.
-            self.precise = needs_more(problem, self.precision, epsilon, self.tol)
+            self.precise = problem.needs_more(self.precision, epsilon, self.tol)
             coarse = problem.rounding(epsilon, precise=False)
             precise = self.precise and before <= SWITCH * coarse
             # The iteration that is likely to be the last one computes what a certificate needs.
@@ -274,7 +266,7 @@ class Multiscale(Outcome):
             out = self.n_iter >= self._max_iter
             if done or out:
                 if not last:
-                    self.state = measured(problem, f, g, epsilon)
+                    self.state = problem.measured(f, g, epsilon)
                     self.residuals[-1] = self.state.residual
                 self.status = "converged" if self.state.residual <= self.tol else "max_iter"
                 if out or self.status == "converged":

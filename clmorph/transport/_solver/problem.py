@@ -19,8 +19,26 @@ from clmorph.transport.certificate import STEPS_ERROR, Certificate, Side, certif
 
 #: The relative rounding that is assumed for a mass, which is a sum of exponentials.
 MASS_ROUNDING = 1e-14
+#: Rounding can be the cause of a residual of at most this many times the bound on the rounding of
+#: one softmin.
+ROUNDING_MARGIN = 8.0
+#: Tolerance on an apparent decrease of the dual, relative to the rounding bound of the residual,
+#: and the share of it that the dual's own rounding may be.
+SLACK, DUAL_SHARE = 1e-2, 0.1
+#: The annealing begins below this share of the joint diameter of both measures.
+TOP = 0.5
 #: Two measures with at least this many points are sorted and uploaded in threads.
 MANY_POINTS = 1 << 13
+
+
+class State(NamedTuple):
+    """Potentials with their softmins, T(g) and T(f), and their residual in units of epsilon."""
+
+    f: Array
+    g: Array
+    t_rows: Array
+    t_columns: Array
+    residual: float
 
 
 class HalfStep(NamedTuple):
@@ -84,11 +102,15 @@ class Problem:
         clouds: tuple[Any, Any] | None = None,
     ) -> Self:
         """Return the problem of two measures; they are uploaded unless the backend has `clouds`."""
-        if are_grids(source, target):
-            return cls._between_grids(operations, source, target, rho)
-        rows, columns = clouds or upload_both(operations, source, target)
         a, b = source.weights, target.weights
         largest = largest_cost(corners_of(source), corners_of(target))
+        if are_grids(source, target):
+            pair: Any = source, target
+            of_grids = GridSoftmin(operations, *pair), GridSoftmin(operations, *pair[::-1])
+            made = cls(of_grids[0], of_grids[1], (a, b), rho, largest)
+            made._asked = True  # the iteration is the host's
+            return made
+        rows, columns = clouds or upload_both(operations, source, target)
         one, other = (
             largest + (0.0 if side.offsets is None else float(np.ptp(side.offsets)))
             for side in (source, target)
@@ -98,18 +120,6 @@ class Problem:
             Softmin(operations, columns, rows, (b, a), truncation),
             (a, b), rho, largest, oscillations=(one, other),
         )  # fmt: skip
-
-    @classmethod
-    def _between_grids(
-        cls, operations: Operations, source: Any, target: Any, rho: tuple[float, float]
-    ) -> Self:
-        """Return the problem of two grids, whose iteration is the host's."""
-        made = cls(
-            GridSoftmin(operations, source, target), GridSoftmin(operations, target, source),
-            (source.weights, target.weights), rho, largest_cost(source.corners, target.corners),
-        )  # fmt: skip
-        made._asked = True
-        return made
 
     def with_truncation(self, truncation: float | None) -> "Problem":
         """Return this problem with its clouds; its softmins choose near pairs of their own."""
@@ -137,6 +147,11 @@ class Problem:
     def truncation(self) -> float | None:
         """Nats by which a log-sum-exp may be too small; None if all pairs are summed."""
         return self.to_rows.truncation
+
+    @property
+    def top_blur(self) -> Any:
+        """The blur below which the annealing begins, by the largest cost."""
+        return TOP * np.sqrt(2 * self.largest_cost)
 
     def farthest(self, f: Any) -> Any:
         """Return how far potentials have moved in this region, cost units; 0 without a region."""
@@ -172,6 +187,23 @@ class Problem:
         """Return the largest effect of rounding on a softmin, in nats."""
         kind = self.largest_cost, epsilon, precise, self.exact_sums
         return self.of_rows.larger(*(each.rounding(*kind) for each in self.softmins))
+
+    def dual_rounding(self, epsilon: float, precise: bool) -> Any:
+        """Return the rounding that each penalty of the dual may have; it is small in `slack`."""
+        return DUAL_SHARE * SLACK * ROUNDING_MARGIN * self.rounding(epsilon, precise)
+
+    def slack(self, floor: Any, rounding: Any, mass: Any, epsilon: float) -> Any:
+        """Return by how much rounding and truncation can make a dual seem to be below `floor`."""
+        slack = 1e-12 * abs(floor) + SLACK * rounding * epsilon * mass
+        return slack + self.left_out * epsilon * mass
+
+    def needs_more(self, precision: str, epsilon: float, tol: float) -> Any:
+        """Return whether a tolerance needs more than float32, and `precision` allows it."""
+        if precision != "auto":
+            return precision == "float64"
+        if self.operations.exponent_roundoff == self.operations.precise_roundoff:
+            return True
+        return self.rounding(epsilon, precise=False) > 0.25 * tol
 
     def half_step(
         self, side: int, old: Array, softmin: Array, epsilon: float, before: Any = None
@@ -216,6 +248,11 @@ class Problem:
             return t_rows, t_rows
         return t_rows, self.to_columns(f, epsilon, bounded=True)
 
+    def measured(self, f: Array, g: Array, epsilon: float) -> State:
+        """Return potentials with their softmins and a residual that includes its rounding."""
+        softmins = self.bounded_softmins(f, g, epsilon)
+        return State(f, g, *softmins, self.residual(f, g, *softmins, epsilon))
+
     def settle(self, residual: Any) -> None:
         """Let the softmins know the residual that was reached; see `Softmin.settle`."""
         for each in self.softmins:
@@ -254,15 +291,15 @@ class Problem:
         """
         value = -epsilon * plan_mass
         of: Any
-        sides = (f, g), (self.a, self.b), self.inverse_rho, self.masses
-        for of, potential, weights, inverse, mass in zip(self.reductions, *sides, strict=True):
+        sides = self.reductions, (f, g), (self.a, self.b), self.inverse_rho
+        for side, (of, potential, weights, inverse) in enumerate(zip(*sides, strict=True)):
             if not inverse:
                 value = value + of.inner(weights, potential)
             else:
                 closed: Any = np.False_
                 if np.any(enough):
-                    closed = has_closed_form(mass, plan_mass, inverse, epsilon, enough)
-                part = (mass - plan_mass) / inverse
+                    closed = self.has_closed_form(side, plan_mass, epsilon, enough)
+                part = (self.masses[side] - plan_mass) / inverse
                 if not np.all(closed):
                     # rho (1 - exp(-f / rho)), without the cancellation at large rho
                     scaled = np.minimum(-potential * inverse, MAX_EXPONENT)
@@ -270,6 +307,18 @@ class Problem:
                     part = of.choose(closed, part, summed)
                 value = value + part
         return value
+
+    def has_closed_form(
+        self,
+        side: int,
+        plan_mass: Any,
+        epsilon: float,
+        enough: Any,
+        rounding: float = MASS_ROUNDING,
+    ) -> Any:
+        """Return whether a penalty of the dual has enough digits as a difference of masses."""
+        total = self.masses[side] + plan_mass
+        return rounding * total <= enough * epsilon * plan_mass * self.inverse_rho[side]
 
     def certificate(
         self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
@@ -314,11 +363,3 @@ def largest_cost(x: Array, y: Array) -> float:
 def cost_across(low: Array, high: Array) -> Any:
     """Return the cost |X - Y|^2 / 2 of opposite corners of boxes, (..., D) arrays."""
     return 0.5 * np.sum((high - low) ** 2, axis=-1)
-
-
-def has_closed_form(
-    mass: Any, plan_mass: Any, inverse_rho: float, epsilon: float, enough: Any,
-    rounding: float = MASS_ROUNDING,
-) -> Any:  # fmt: skip
-    """Return whether a penalty of the dual has enough digits as a difference of masses."""
-    return rounding * (mass + plan_mass) <= enough * epsilon * plan_mass * inverse_rho

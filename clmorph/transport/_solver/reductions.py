@@ -1,5 +1,7 @@
 """Sums and maxima over the points of one problem (`Whole`), or of each of many (`Segments`)."""
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -103,41 +105,25 @@ class Segments:
 
     def sum(self, x: Array) -> Array:
         """Return the sum over each problem: (B,) array."""
-        if self._each:
-            return np.asarray(x.reshape(-1, self._each).sum(axis=1))
-        return np.array([part.sum() for part in self._parts(x)])
+        return self._each_of(lambda part: part.sum(axis=-1), x)
 
     def inner(self, x: Array, y: Array) -> Array:
         """Return the inner product of the parts of two vectors of each problem: (B,) array."""
-        if self._each:
-            shape = -1, self._each
-            return np.asarray(np.einsum("bn,bn->b", x.reshape(shape), y.reshape(shape)))
-        both = zip(self._parts(x), self._parts(y), strict=True)
-        return np.array([np.einsum("i,i", *parts) for parts in both])
+        return self._each_of(functools.partial(np.einsum, "...n,...n->..."), x, y)
+
+    def inner_each(self, many: Array, x: Array) -> Array:
+        """Return the inner products of (k, n) vectors with one vector: (B, k) array."""
+        return self._each_of(functools.partial(np.einsum, "k...n,...n->...k"), many, x)
 
     def largest(self, x: Array) -> Array:
         """Return the largest entry of each problem: (B,) array."""
-        if self._each:
-            return np.asarray(x.reshape(-1, self._each).max(axis=1))
         return np.asarray(np.maximum.reduceat(x, self.starts))
 
     def spread(self, value: Any) -> Any:
         return value if np.ndim(value) == 0 else np.repeat(value, self.counts)
 
     def scaled(self, factor: Any, x: Array) -> Array:
-        if np.ndim(factor) == 0:
-            return np.asarray(factor * x)
-        if self._each:
-            return (factor[:, None] * x.reshape(-1, self._each)).ravel()
-        return np.asarray(np.repeat(factor, self.counts) * x)
-
-    def inner_each(self, many: Array, x: Array) -> Array:
-        """Return the inner products of (k, n) vectors with one vector: (B, k) array."""
-        if self._each:
-            parts = many.reshape(len(many), -1, self._each)
-            return np.asarray(np.einsum("kbn,bn->bk", parts, x.reshape(-1, self._each)))
-        both = zip(self._parts(many), self._parts(x), strict=True)
-        return np.array([np.einsum("kn,n->k", *parts) for parts in both])
+        return np.asarray(self.spread(factor) * x)
 
     def combined(self, factors: Array, many: Array) -> Array:
         """Return the sum of (k, n) vectors, each multiplied by its (B, k) factors."""
@@ -156,12 +142,17 @@ class Segments:
     def some(self, problems: IntArray) -> "Segments":
         return Segments(self.counts[problems])
 
+    def _each_of(self, reduce: Callable[..., Any], *vectors: Array) -> Array:
+        """Return what a function of parts (..., n) gives for each problem, at once if n is one."""
+        if self._each:
+            shaped = (x.reshape(*x.shape[:-1], -1, self._each) for x in vectors)
+            return np.asarray(reduce(*shaped))
+        return np.array([reduce(*parts) for parts in zip(*map(self._parts, vectors), strict=True)])
+
     def _parts(self, x: AnyArray) -> list[AnyArray]:
         """Return copies of the parts (..., n), whose sums then have the bits of `Whole`."""
-        ends = self.starts + self.counts
-        return [
-            x[..., a:b].copy() for a, b in zip(self.starts.tolist(), ends.tolist(), strict=True)
-        ]
+        ends = np.cumsum(self.counts).tolist()
+        return [x[..., a:b].copy() for a, b in zip([0, *ends], ends, strict=False)]
 
     def part(self, x: AnyArray, problem: int) -> AnyArray:
         """Return the entries of one problem, as a view."""

@@ -21,7 +21,6 @@ from clmorph.backends.records import (
 from clmorph.transport._solver.anderson import GROWTH, Anderson, Ring
 from clmorph.transport._solver.batch import not_finite, some
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.state import dual_rounding
 
 
 class Steps(Protocol):
@@ -99,7 +98,7 @@ class HostSteps:
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
         self._g, self._epsilon, self._precise = g, epsilon, precise
         self._fallback = g
-        self._enough = dual_rounding(self._problem, epsilon, precise)
+        self._enough = self._problem.dual_rounding(epsilon, precise)
 
     def update_rows(self) -> tuple[Any, Any]:
         problem, epsilon, self._back = self._problem, self._epsilon, np.False_
