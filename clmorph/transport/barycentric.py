@@ -10,12 +10,12 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import shown
-from clmorph.backends.select import Backend
+from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.images.color import from_space
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import MeasureLike, as_pair
-from clmorph.transport._solver.plan_softmin import plan_softmin, row_mass, row_softmin
+from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport.potentials import Potentials
 
 #: Largest error of colors that are computed from lifted points, in coordinates of the color space.
@@ -148,19 +148,18 @@ def barycentric_plan(
     to_colors: Callable[[Array], Array] = lambda mean: mean[:, :0]  # noqa: E731
     if isinstance(source, Measure) and isinstance(target, Measure):
         to_colors = destination_colors(source, target)
-    operations, clouds, to_rows, softmin = row_softmin(*pair, potentials, backend)
+    operations = get_backend(backend)
+    rows = RowsOfPlan(operations, pair, potentials).checked()
     epsilon, precise = potentials.epsilon, potentials.precise
     mean, covariance = operations.plan_moments(
-        *clouds, potentials.g, softmin, epsilon, precise, to_rows.near
+        *rows.clouds, potentials.g, rows.softmin, epsilon, precise, rows.near
     )
-    swapped = potentials.swapped()
-    columns = plan_softmin(operations, clouds[::-1], pair[::-1], swapped).softmin(swapped)
     return Barycentric(
         positions=mean[:, :2] if images else mean,
         colors=to_colors(mean),
         covariance=covariance,
-        row_mass=row_mass(pair[0].weights, potentials, softmin),
-        column_mass=row_mass(pair[1].weights, swapped, columns),
+        row_mass=rows.mass,
+        column_mass=rows.swapped().mass,
     )
 
 

@@ -11,7 +11,7 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.grid import Grid
 from clmorph.measures.points import as_pair
-from clmorph.transport._solver.plan_softmin import row_projection
+from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport.potentials import Potentials
 
 
@@ -111,7 +111,7 @@ def displacement_field(
             "source and target: expected two grids, as clmorph.grid_measure makes them; for points "
             "use clmorph.barycentric_plan"
         )
-    _, mean = row_projection(get_backend(backend), (None, None), pair, potentials)
+    _, mean = RowsOfPlan(get_backend(backend), pair, potentials, (None, None)).projection()
     mean = mean.reshape(*first.shape, first.dimension)
     row_mass, column_mass = first.array(potentials.row_mass), second.array(potentials.column_mass)
     for mass in (row_mass, column_mass):

@@ -30,7 +30,7 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.transport._solver.plan_softmin import inverse_rho, sent, uploaded_pair
+from clmorph.transport._solver.plan_softmin import RowsOfPlan, inverse_rho, uploaded_pair
 from clmorph.transport.potentials import Potentials
 
 
@@ -189,7 +189,7 @@ def _side(
 ) -> _Side:
     """Return the derivatives by the source, from the potentials of the target alone."""
     source = pair[0]
-    going = sent(operations, clouds, pair, potentials)
+    going = RowsOfPlan(operations, pair, potentials, clouds).sent()
     mass = source.weights * going.ratio
     return _Side(
         mass[:, None] * (source.points - going.mean), going.potential, inverse_rho(potentials)

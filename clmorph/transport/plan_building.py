@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from clmorph.backends.select import Backend
+from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError, PlanSizeError
 from clmorph.measures.points import MeasureLike, as_pair
-from clmorph.transport._solver.plan_softmin import plan_softmin, rounding_of, row_mass, row_softmin
+from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport.options import PlanOptions, PruningOptions, RelativeTo
 from clmorph.transport.plan import BYTES_PER_PAIR, Plan
 from clmorph.transport.potentials import Potentials
@@ -78,16 +78,18 @@ def transport_plan(
     >>> plan.to_scipy().toarray().round(3).tolist()
     [[0.27, 0.0], [0.144, 0.144], [0.0, 0.27]]
     """
-    source, target = as_pair(source, target)
+    pair = source, target = as_pair(source, target)
     relative = PruningOptions.checked("relative", relative)
     PruningOptions.checked("relative_to", relative_to)
     max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     log_threshold = PlanOptions.checked("log_threshold", log_threshold)
-    operations, (rows, columns), to_rows, softmin = row_softmin(source, target, potentials, backend)
+    operations = get_backend(backend)
+    of_rows = RowsOfPlan(operations, pair, potentials).checked()
+    rows, columns = of_rows.clouds
     f, g, epsilon = potentials.f, potentials.g, potentials.epsilon
     with np.errstate(divide="ignore"):
         log_a, log_b = np.log(source.weights), np.log(target.weights)
-    whole = row_mass(source.weights, potentials, softmin)
+    whole = of_rows.mass
     total = float(whole.sum())
     if not total <= 1e3 * max(source.mass, target.mass):
         raise InputError(
@@ -97,23 +99,18 @@ def transport_plan(
         )
     margin = 0.0
     if log_threshold is not None:
-        margin = undecided(log_threshold, rounding_of(to_rows, source, target, potentials))
+        margin = undecided(log_threshold, of_rows.rounding)
         row_thresholds = np.full(len(f), log_threshold - margin)
         column_thresholds = np.full(len(g), np.inf)
     else:
-        row_maxima = operations.row_maxima(rows, columns, g, epsilon, to_rows.near)
+        row_maxima = operations.row_maxima(rows, columns, g, epsilon, of_rows.near)
         row_maxima += f / epsilon + log_a
         row_thresholds = row_maxima + np.log(relative)
         if relative_to == "plan":
             row_thresholds[:] = row_thresholds.max()
             column_thresholds = np.full(len(g), np.inf)
         else:
-            near = None
-            if potentials.truncation is not None:
-                swapped = potentials.swapped()
-                of_columns = plan_softmin(operations, (columns, rows), (target, source), swapped)
-                of_columns.softmin(swapped)
-                near = of_columns.operator.near
+            near = None if potentials.truncation is None else of_rows.swapped().near
             column_maxima = operations.row_maxima(columns, rows, f, epsilon, near)
             column_maxima += g / epsilon + log_b
             column_thresholds = column_maxima + np.log(relative)

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_integer
-from clmorph.backends.select import Backend
+from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.transport._solver.plan_softmin import plan_softmin, row_mass, row_softmin
-from clmorph.transport._solver.softmin import Softmin
+from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport.options import MAX_DRAWS
 from clmorph.transport.plan import Plan, plan_of_pairs
 from clmorph.transport.potentials import Potentials
@@ -133,23 +132,17 @@ def draw_pairs(
     seed = check_integer("seed", seed, 0, 2**63)
     rng = np.random.default_rng(seed)
     pair = as_pair(source, target)
-    operations, clouds, to_rows, by_row = row_softmin(*pair, potentials, backend)
-    swapped = potentials.swapped()
-    of_columns = plan_softmin(operations, clouds[::-1], pair[::-1], swapped)
-    to_columns, by_column = of_columns.operator, of_columns.softmin(swapped)
+    operations = get_backend(backend)
+    of_rows = RowsOfPlan(operations, pair, potentials).checked()
+    of_columns = of_rows.swapped()
     epsilon, precise = potentials.epsilon, potentials.precise
 
-    def draw(own: Potentials, softmin: Softmin, sums: Array, count: int) -> NDArray[np.int32]:
-        thresholds = (np.arange(count) + rng.random((len(sums), count))) / count
+    def draw(own: RowsOfPlan, count: int) -> NDArray[np.int32]:
+        thresholds = (np.arange(count) + rng.random((len(own.softmin), count))) / count
         # The division can round up to 1.
         thresholds = np.minimum(thresholds, np.nextafter(1.0, 0.0))
         return operations.sample_plan_rows(
-            softmin.rows, softmin.columns, own.g, sums, epsilon, thresholds, precise, softmin.near
+            *own.clouds, own.potentials.g, own.softmin, epsilon, thresholds, precise, own.near
         )
 
-    return Draws(
-        draw(potentials, to_rows, by_row, draws[0]),
-        draw(swapped, to_columns, by_column, draws[1]),
-        row_mass(pair[0].weights, potentials, by_row),
-        row_mass(pair[1].weights, swapped, by_column),
-    )
+    return Draws(draw(of_rows, draws[0]), draw(of_columns, draws[1]), of_rows.mass, of_columns.mass)

@@ -70,11 +70,12 @@ class Outcome:
         return -(-self.n_softmin // self.softmins)
 
 
+@dataclass(eq=False)
 class Iteration:
     """The solve of one problem, or of many, by Sinkhorn's iteration, annealed and extrapolated.
 
     The residual shall be `tol`, in units of epsilon, after at most `max_iter` iterations of
-    `softmins` each, of which `n_softmin` were before. After `patience` of them without a new best
+    `softmins` each, of which `begun` were before. After `patience` of them without a new best
     residual it ends, if rounding explains that. `certify` makes the last softmins bounded ones.
     With `exact` all sums are exact, and all levels are solved to `tol`: between groups of points
     far apart, mass finds its way at large blurs alone.
@@ -84,26 +85,23 @@ class Iteration:
     rounding alone can cause, and whether float32 exponents were too coarse (`precise`).
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        blur: float,
-        tol: float,
-        max_iter: int,
-        precision: str,
-        report: Callable[[float], None],
-        certify: bool = True,
-        patience: int = STALLED,
-        exact: bool = False,
-        steps: Callable[[Problem], Steps] = new_steps,
-        softmins: int = 2,
-        n_softmin: int = 0,
-    ) -> None:
-        self.problem, problem.exact_sums = problem, exact
-        self._level_tol = tol if exact else LEVEL_TOLERANCE
-        self.tol, self.precision, self._certify = tol, precision, certify
-        self._patience, self._new_steps, self._softmins = patience, steps, softmins
-        self._blur, self._max_iter, self._report = blur, max_iter, report
+    problem: Problem
+    blur: float
+    tol: float
+    max_iter: int
+    precision: str
+    report: Callable[[float], None]
+    certify: bool = True
+    patience: int = STALLED
+    exact: bool = False
+    steps: Callable[[Problem], Steps] = new_steps
+    softmins: int = 2
+    begun: int = 0
+
+    def __post_init__(self) -> None:
+        problem = self.problem
+        problem.exact_sums = self.exact
+        self._level_tol = self.tol if self.exact else LEVEL_TOLERANCE
         self._done, self._level_share, self._reported = 0.0, 1.0, 0.0
         self._everyone = np.arange(np.size(problem.masses[0]))
         count = len(self._everyone)
@@ -113,13 +111,13 @@ class Iteration:
         self.roundoffs = np.zeros((2, count))
         self.status = np.full(count, "max_iter", object)
         self.precise = np.zeros(count, bool)
-        self.n_softmin = np.full(count, n_softmin)
+        self.n_softmin = np.full(count, self.begun)
         self._records: list[tuple[IntArray, Any, Any]] = []
 
     @property
     def n_iter(self) -> IntArray:
         """Iterations of each problem so far."""
-        return np.asarray(-(-self.n_softmin // self._softmins))
+        return np.asarray(-(-self.n_softmin // self.softmins))
 
     @functools.cached_property
     def histories(self) -> list[Array]:
@@ -142,7 +140,7 @@ class Iteration:
         return Outcome(
             one_of(self.problem, number, self.roundoffs[:, number]), self.tol, self.precision,
             State(f, g, t_rows, t_columns, float(self.residual[number])), self.status[number],
-            self.histories[number].tolist(), int(self.n_softmin[number]), self._softmins,
+            self.histories[number].tolist(), int(self.n_softmin[number]), self.softmins,
             float(self.rounding[number]), bool(self.precise[number]),
         )  # fmt: skip
 
@@ -155,11 +153,11 @@ class Iteration:
         if start is not None:
             self.g[:] = start
         else:
-            levels = annealing(problem, self._blur, float(tops.max()), self._max_iter)
+            levels = annealing(problem, self.blur, float(tops.max()), self.max_iter)
         self._level_share = 1.0 / (len(levels) + 3)
-        limit = int(ANNEALING_SHARE * self._max_iter)
+        limit = int(ANNEALING_SHARE * self.max_iter)
         for number, level in enumerate(levels):
-            epsilon, following = level**2, [*levels, self._blur][number + 1] ** 2
+            epsilon, following = level**2, [*levels, self.blur][number + 1] ** 2
             # Potentials are close to linear in epsilon, so the line through the last two levels is
             # continued to the next one.
             beyond = (tops > level / ANNEALING) & (number > 0)
@@ -187,11 +185,11 @@ class Iteration:
             note = f"{np.count_nonzero(self.residual <= self.tol)} of {len(self.status)} problems"
         else:
             note = f"residual {self._records[-1][2]:.0e} of {self.tol:.0e}"
-        self._report(Share(self._reported, note))
+        self.report(Share(self._reported, note))
 
     def _last_level(self) -> None:
         """Iterate in float32 as far as its rounding allows, then with better exponents."""
-        problem, epsilon, limit = self.problem, self._blur**2, self._max_iter
+        problem, epsilon, limit = self.problem, self.blur**2, self.max_iter
         operations, exact = problem.operations, problem.exact_sums
         self.precise[:] = problem.needs_more(self.precision, epsilon, self.tol)
         left = [(which, np.flatnonzero(self.precise == which)) for which in (False, True)]
@@ -217,7 +215,7 @@ class Iteration:
                 status = self.status[numbers]
                 # The bound of the rounding can have lifted a residual above the tolerance.
                 again = converged & (status != "converged")
-                if self._certify:
+                if self.certify:
                     bounds = self.roundoffs.max(axis=0)[numbers]
                     further = may_sum_exactly(problem, status, self.precision, self.tol, bounds)
                     again |= further
@@ -232,7 +230,7 @@ class Iteration:
         rows, columns = (of.points_of(numbers) for of in self.problem.reductions)
         # Softmins keep what they get, and these vectors change.
         f, g, t_columns = np.array(self.f[rows]), np.array(self.g[columns]), self.t_columns[columns]
-        if self._certify:
+        if self.certify:
             t_rows, t_columns = problem.bounded_softmins(f, g, epsilon)
         else:
             t_rows = problem.softmin(0, g, epsilon, precise)
@@ -271,7 +269,7 @@ class Iteration:
         problem = some(self.problem, numbers)
         of: Any = problem.of_rows
         count = len(numbers)
-        steps = self._new_steps(problem)
+        steps = self.steps(problem)
         steps.begin(np.array(self.g[self.problem.of_columns.points_of(numbers)]), epsilon, precise)
         self.status[numbers] = "max_iter"
         self.rounding[numbers] = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
@@ -301,15 +299,15 @@ class Iteration:
                         guessed = of.without(guessed, bad)
                         continue
             residual, column_dual, moved = steps.update_columns()
-            n_softmin = n_softmin + live * (self._softmins - 1)
+            n_softmin = n_softmin + live * (self.softmins - 1)
             self._records.append((current, live, residual))
             since_best = of.choose(live, (since_best + 1) * (residual >= 0.9 * best), since_best)
             best = of.choose(live, of.smaller(best, residual), best)
             first = first or of.largest_of(residual)
             share = share_done(first, of.largest_of(best), least_tol)
             self._report_share(self._done + self._level_share * share)
-            stalled = live & (since_best >= self._patience) & (leave | (residual <= rounding))
-            within, n_iter = live & (residual <= tol), -(-n_softmin // self._softmins)
+            stalled = live & (since_best >= self.patience) & (leave | (residual <= rounding))
+            within, n_iter = live & (residual <= tol), -(-n_softmin // self.softmins)
             outside = moved > problem.trust_radius * epsilon
             ended = within | stalled | (live & (n_iter >= limit)) | outside
             if of.any(ended):
@@ -330,7 +328,7 @@ class Iteration:
             # The dual that the plain iteration has reached.
             floor = of.choose(live, column_dual, floor)
             # An extrapolation can cost one softmin more, which the limit must allow.
-            may = running & live & (n_iter + 1 < limit) & (self._max_iter >= SHORT)
+            may = running & live & (n_iter + 1 < limit) & (self.max_iter >= SHORT)
             guessed = steps.go_on(may)
             if of.any(ended) and np.count_nonzero(running) <= (1 - STOPPED) * len(current):
                 kept = np.flatnonzero(running)

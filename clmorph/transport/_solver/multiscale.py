@@ -230,7 +230,7 @@ class Multiscale(Outcome):
         iteration = Iteration(
             self.problem, self._blur, tol, self._max_iter - (0 if last else SPARE_ITERATIONS),
             self.precision, lambda share: self._report_share(reported + (end - reported) * share),
-            certify=last, n_softmin=self.n_softmin,
+            certify=last, begun=self.n_softmin,
         )  # fmt: skip
         iteration.run(g)
         found = iteration.outcome()

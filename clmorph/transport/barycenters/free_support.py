@@ -27,7 +27,7 @@ import numpy as np
 from clmorph._shared.typing import Progress
 from clmorph.backends.interface import Operations
 from clmorph.measures.points import WeightedPoints
-from clmorph.transport._solver.plan_softmin import sent
+from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport._solver.problem import uploaded
 from clmorph.transport.barycenters.result import Barycenter, BarycenterProblem, Call, check_mass
 from clmorph.transport.divergence import self_transport_of
@@ -70,13 +70,13 @@ def free_support(
                 lambda share: None, clouds=both, g=None if before is None else before.g,
             )  # fmt: skip
             found[k], inexact = solved, max(inexact, solved.residual)
-            going = sent(operations, both, (here, measure), solved)
+            going = RowsOfPlan(operations, (here, measure), solved, both).sent()
             ratio += share * going.ratio
             pull += (share * going.ratio)[:, None] * (going.mean - points)
         if debias:
             own = self_transport_of(here, given, inner, INNER_ITERATIONS, operations)
             inexact = max(inexact, own.residual)
-            within = sent(operations, (cloud, cloud), (here, here), own)
+            within = RowsOfPlan(operations, (here, here), own, (cloud, cloud)).sent()
             pull -= within.ratio[:, None] * (within.mean - points)
             growth = np.divide(
                 ratio, within.ratio, out=np.full(len(ratio), MOST_GROWTH), where=within.ratio > TINY
