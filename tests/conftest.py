@@ -89,6 +89,8 @@ def pytest_configure(config: pytest.Config) -> None:
         # Processes of tests share the cores, and inherit this. With threads of linear algebra a
         # frame of the dense reference takes 1.2 to 2.5 times as long.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Programs that tests start keep the package compiled for the next ones: a third of their time.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     name = config.getoption("--device")
     if name is None:
         if not TESTED:

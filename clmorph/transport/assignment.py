@@ -18,9 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from clmorph._shared.typing import Array
 
@@ -94,6 +91,9 @@ def merged(first: Indices, second: Indices, source: Array, target: Array) -> Ind
     A set of sources that both send to the same targets can follow either of them (BSP-OT,
     "merging"), so each smallest such set follows the cheaper one.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     n = len(first)
     owner = np.empty(n, np.intp)
     owner[first] = np.arange(n)
@@ -125,6 +125,8 @@ class _Exchange:
     height: Array
 
     def __call__(self, rows: Indices) -> tuple[Indices, Indices]:
+        from scipy.optimize import linear_sum_assignment  # takes long to import
+
         columns = self.permutation[rows]
         cost = self.height[columns] - self.source[rows] @ self.target[columns].T
         return rows, columns[linear_sum_assignment(cost)[1]]

@@ -12,9 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 from clmorph._shared.typing import Array
 from clmorph.transport.pair_costs import Costs, Indices
@@ -168,6 +165,9 @@ class Auction:
         SciPy first looks for any assignment, which takes long unless it finds this one at once:
         columns are numbered by their rows.
         """
+        from scipy.sparse import csr_array
+        from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+
         n, m = len(self.taken), len(self.g)
         rows, columns = np.divmod(self._pairs, m)
         cost = self._cost if self.costs.spare else self._cost - self.g[columns]
@@ -259,6 +259,8 @@ class Auction:
 
     def complete(self) -> None:
         """Give the rows without a column the cheapest ones of what is left, as new candidates."""
+        from scipy.optimize import linear_sum_assignment  # takes long to import
+
         rows, columns = np.flatnonzero(self.taken < 0), np.flatnonzero(self.owner < 0)
         for begin in range(0, len(rows), PART):
             some = rows[begin : begin + PART]

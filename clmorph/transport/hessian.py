@@ -18,7 +18,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, cg
 
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import shown
@@ -129,6 +128,8 @@ def _product(
     columns: tuple[Array, Array],
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return the changes of the derivatives by points and weights, for both sides."""
+    from scipy.sparse.linalg import LinearOperator, cg  # takes long to import
+
     n, m = len(pair[0]), len(pair[1])
     check_potentials("solved", potentials, (n, m))
     if n * m > MAX_PAIRS:

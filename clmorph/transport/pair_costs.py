@@ -7,8 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
 
 from clmorph._shared.typing import Array
 from clmorph.backends.cancellation import check_cancelled
@@ -77,6 +75,8 @@ class Costs:
 
         |x - y|^2 / 2 - g is |(x, 0) - (y, h)|^2 / 2 - max g, with h^2 / 2 = max g - g.
         """
+        from scipy.spatial import KDTree  # takes long to import
+
         own, other = (self.x, self.y)[:: -1 if side else 1]
         height = np.sqrt(2 * (prices.max() - prices))
         parts = [other, height[:, None]], [own[points], np.zeros((len(points), 1))]
@@ -100,6 +100,8 @@ class Costs:
         return _ranks(self.x) * unit, _ranks(self.y) * unit
 
     def _block(self, rows: Indices | None, columns: Indices | None) -> Array:
+        from scipy.spatial.distance import cdist  # takes long to import
+
         chosen = slice(None) if rows is None else rows
         costs = cdist(self.x[chosen], self.y if columns is None else self.y[columns], "sqeuclidean")
         costs *= 0.5 if self.weights is None else self.weights[chosen, None] / 2

@@ -203,13 +203,14 @@ def test_importing_is_light():
     told = subprocess.run(
         [sys.executable, "-c", "import sys, clmorph; print('numpy' in sys.modules, dir(clmorph));"
          "import clmorph.pipeline.morph, clmorph.transport.sinkhorn;"
-         "print(callable(clmorph.morph), callable(clmorph.sinkhorn), clmorph.__version__)"],
+         "print(callable(clmorph.morph), callable(clmorph.sinkhorn), clmorph.__version__);"
+         "import clmorph.cli.main; print([name for name in sys.modules if name[:6] == 'scipy.'])"],
         capture_output=True, text=True, check=True,
     ).stdout.splitlines()  # fmt: skip
     assert told[0].startswith("False")
     for name in ("morph", "sinkhorn", "save", "load", "inspect", "reference"):
         assert repr(name) in told[0]
-    assert told[1] == f"True True {clmorph.__version__}"
+    assert told[1:] == [f"True True {clmorph.__version__}", "[]"]
 
 
 def test_demo(tmp_path, monkeypatch, capfd):
