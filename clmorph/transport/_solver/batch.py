@@ -14,20 +14,25 @@ from clmorph.transport._solver.reductions import Segments
 from clmorph.transport._solver.softmin import Softmin, overflow
 
 
+class _Side(NamedTuple):
+    """The sources, or the targets, of many problems."""
+
+    of: Any
+    weights: Array
+    cloud: Any
+    oscillations: Array  #: bounds of the changes of costs from one of these points to another, (B,)
+
+
 class BatchSoftmin(Softmin):
     """The operators T of many problems, over all pairs; `numbers`, (B,), are theirs in a batch."""
 
     def __init__(
-        self,
-        operations: Operations,
-        numbers: IntArray,
-        clouds: tuple[Any, Any],
-        weights: tuple[Array, Array],
-        reductions: tuple[Any, Any],
+        self, operations: Operations, numbers: IntArray, rows: _Side, columns: _Side
     ) -> None:
-        super().__init__(operations, *clouds, weights)
-        self.numbers, self._starts = numbers, reductions[0].starts
-        self.n_columns = reductions[1].counts
+        weights = rows.weights, columns.weights
+        super().__init__(operations, rows.cloud, columns.cloud, weights)
+        self.numbers, self._starts = numbers, rows.of.starts
+        self.n_columns = columns.of.counts
 
     def _over(
         self, near: NearPairs | None, potential: Array, epsilon: float, precise: bool, bounded: bool
@@ -63,17 +68,10 @@ def not_finite(problem: Problem, number: int) -> Exception:
     )
 
 
-class _Side(NamedTuple):
-    """The sources, or the targets, of many problems."""
-
-    of: Segments
-    weights: Array
-    cloud: Any
-    corners: tuple[Array, Array]  #: of boxes around them, (B, D)
-    ranges: Array  #: of their offsets, (B,)
-
-
-def _uploaded(operations: Operations, measures: list[AnyMeasure]) -> _Side:
+def _uploaded(
+    operations: Operations, measures: list[AnyMeasure]
+) -> tuple[_Side, tuple[Array, Array]]:
+    """Return one side, with the ranges of its offsets, and the corners of boxes, (B, D)."""
     of = Segments(np.array([len(measure) for measure in measures]))
     points, weights = (
         np.concatenate([getattr(measure, name) for measure in measures])
@@ -88,55 +86,47 @@ def _uploaded(operations: Operations, measures: list[AnyMeasure]) -> _Side:
         ranges = of.largest(offsets) + of.largest(-offsets)
     cloud = operations.upload_batch(points, weights, of.counts, offsets)
     corners = np.minimum.reduceat(points, of.starts), np.maximum.reduceat(points, of.starts)
-    return _Side(of, weights, cloud, corners, ranges)
+    return _Side(of, weights, cloud, ranges), corners
 
 
 def problem_of_many(
     operations: Operations, pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float]
 ) -> Problem:
     """Return the problems of many pairs (source, target), all in one dimension, as one."""
-    rows = columns = _uploaded(operations, [source for source, _ in pairs])
+    rows, (low, high) = columns, others = _uploaded(operations, [source for source, _ in pairs])
     if any(source is not target for source, target in pairs):
-        columns = _uploaded(operations, [target for _, target in pairs])
-    (low, high), (other_low, other_high) = rows.corners, columns.corners
-    largest = cost_across(np.minimum(low, other_low), np.maximum(high, other_high))
-    return _problem(
-        operations, np.arange(len(pairs)), (rows.cloud, columns.cloud),
-        (rows.weights, columns.weights), (rows.of, columns.of), rho, largest,
-        (largest + rows.ranges, largest + columns.ranges),
-    )  # fmt: skip
+        columns, others = _uploaded(operations, [target for _, target in pairs])
+    largest = cost_across(np.minimum(low, others[0]), np.maximum(high, others[1]))
+    sides = [each._replace(oscillations=largest + each.oscillations) for each in (rows, columns)]
+    return _problem(operations, np.arange(len(pairs)), sides, rho, largest)
 
 
 def _problem(
-    operations: Operations, numbers: IntArray, clouds: tuple[Any, Any],
-    weights: tuple[Array, Array], reductions: tuple[Any, Any], rho: tuple[float, float],
-    largest: Array, oscillations: tuple[Array, Array],
+    operations: Operations, numbers: IntArray, sides: list[_Side], rho: tuple[float, float],
+    largest: Array,
 ) -> Problem:  # fmt: skip
-    sides = clouds, weights, reductions
-    return Problem(
-        BatchSoftmin(operations, numbers, *sides),
-        BatchSoftmin(operations, numbers, *(each[::-1] for each in sides)),
-        weights, rho, largest, reductions, oscillations,
-    )  # fmt: skip
+    of, weights, _, oscillations = zip(*sides, strict=True)
+    to_rows, to_columns = (
+        BatchSoftmin(operations, numbers, *each) for each in (sides, sides[::-1])
+    )
+    return Problem(to_rows, to_columns, weights, rho, largest, of, oscillations)
 
 
 def some(problem: Problem, problems: IntArray, uploaded: bool = True) -> Problem:
     """Return some of many problems, or the only one; without softmins unless `uploaded`."""
     if len(problems) == np.size(problem.masses[0]) or not problem.of_rows.shape:
         return problem
-    operations = problem.operations
-    rows, columns = (of.points_of(problems) for of in problem.reductions)
-    clouds = [
-        operations.take_batch(cloud, problems) if uploaded else None
-        for cloud in (problem.rows, problem.columns)
-    ]
-    one, other = problem.oscillations
-    made = _problem(
-        operations, problem.to_rows.numbers[problems], (clouds[0], clouds[1]),
-        (problem.a[rows], problem.b[columns]),
-        (problem.of_rows.some(problems), problem.of_columns.some(problems)), problem.rho,
-        problem.largest_cost[problems], (one[problems], other[problems]),
-    )  # fmt: skip
+    operations, clouds = problem.operations, (problem.rows, problem.columns)
+    before = problem.reductions, (problem.a, problem.b), clouds, problem.oscillations
+    sides = [
+        _Side(
+            of.some(problems), weights[of.points_of(problems)],
+            operations.take_batch(cloud, problems) if uploaded else None, oscillations[problems],
+        )
+        for of, weights, cloud, oscillations in zip(*before, strict=True)
+    ]  # fmt: skip
+    numbers, largest = problem.to_rows.numbers[problems], problem.largest_cost[problems]
+    made = _problem(operations, numbers, sides, problem.rho, largest)
     if problem.to_columns is problem.to_rows:
         made.to_columns = made.to_rows
     made.exact_sums = problem.exact_sums
