@@ -105,11 +105,12 @@ def _problem(
     operations: Operations, numbers: IntArray, sides: list[_Side], rho: tuple[float, float],
     largest: Array,
 ) -> Problem:  # fmt: skip
-    of, weights, _, oscillations = zip(*sides, strict=True)
     to_rows, to_columns = (
         BatchSoftmin(operations, numbers, *each) for each in (sides, sides[::-1])
     )
-    return Problem(to_rows, to_columns, weights, rho, largest, of, oscillations)
+    one, other = sides
+    reductions, oscillations = (one.of, other.of), (one.oscillations, other.oscillations)
+    return Problem(to_rows, to_columns, rho, largest, reductions, oscillations)
 
 
 def some(problem: Problem, problems: IntArray, uploaded: bool = True) -> Problem:
@@ -146,6 +147,6 @@ def one_of(problem: Problem, number: int, roundoffs: Array) -> Problem:
         softmin.roundoff = roundoff
     one, other = (float(each[number]) for each in problem.oscillations)
     return Problem(
-        softmins[0], softmins[1], (a, b), problem.rho, float(problem.largest_cost[number]),
+        softmins[0], softmins[1], problem.rho, float(problem.largest_cost[number]),
         oscillations=(one, other),
     )  # fmt: skip

@@ -198,7 +198,7 @@ class StoredProblem(CorrectedProblem):
         plan_mass: float,
         epsilon: float,
     ) -> None:
-        super().__init__(*softmins, softmins[0].weights, like.rho, like.largest_cost)
+        super().__init__(*softmins, like.rho, like.largest_cost)
         self.choice, self.trust_radius = choice, choice.trust_radius
         self._plan_mass, self._epsilon = plan_mass, epsilon
         self._started: ResidentIteration | None = None

@@ -69,7 +69,6 @@ class Problem:
         self,
         to_rows: Any,
         to_columns: Any,
-        weights: tuple[Array, Array],
         rho: tuple[float, float],
         largest_cost: Any,
         reductions: tuple[Reductions, Reductions] = (WHOLE, WHOLE),
@@ -79,7 +78,7 @@ class Problem:
         #: The backend, and the source's and the target's cloud.
         self.operations: Operations = to_rows.operations
         self.rows, self.columns = to_rows.rows, to_rows.columns
-        self.a, self.b = weights
+        self.a, self.b = to_rows.weights
         self.of_rows, self.of_columns = self.reductions = reductions
         self.rho, self.largest_cost = rho, largest_cost
         #: Bounds of |C_ij - C_kj| over rows i, k, and of |C_ij - C_il| over columns j, l.
@@ -107,7 +106,7 @@ class Problem:
         if are_grids(source, target):
             pair: Any = source, target
             of_grids = GridSoftmin(operations, *pair), GridSoftmin(operations, *pair[::-1])
-            made = cls(of_grids[0], of_grids[1], (a, b), rho, largest)
+            made = cls(of_grids[0], of_grids[1], rho, largest)
             made._asked = True  # the iteration is the host's
             return made
         rows, columns = clouds or upload_both(operations, source, target)
@@ -118,7 +117,7 @@ class Problem:
         return cls(
             Softmin(operations, rows, columns, (a, b), truncation),
             Softmin(operations, columns, rows, (b, a), truncation),
-            (a, b), rho, largest, oscillations=(one, other),
+            rho, largest, oscillations=(one, other),
         )  # fmt: skip
 
     def with_truncation(self, truncation: float | None) -> "Problem":
@@ -127,10 +126,8 @@ class Problem:
             Softmin(self.operations, of.rows, of.columns, of.weights, truncation)
             for of in (self.to_rows, self.to_columns)
         )
-        return Problem(
-            to_rows, to_columns, to_rows.weights, self.rho, self.largest_cost,
-            oscillations=self.oscillations,
-        )  # fmt: skip
+        same = self.rho, self.largest_cost, self.reductions, self.oscillations
+        return Problem(to_rows, to_columns, *same)
 
     def _weigh(self) -> None:
         """Compute what follows from the masses."""

@@ -83,7 +83,7 @@ class Whole:
 
 
 class Segments:
-    """Those of `Whole` over vectors of many problems, one after the other: (B,) arrays."""
+    """Those of `Whole` over vectors of many problems, one after the other: (B,), (B, k) arrays."""
 
     def __init__(self, counts: IntArray) -> None:
         self.counts = counts
@@ -104,19 +104,15 @@ class Segments:
     larger, smaller = staticmethod(np.maximum), staticmethod(np.minimum)
 
     def sum(self, x: Array) -> Array:
-        """Return the sum over each problem: (B,) array."""
         return self._each_of(lambda part: part.sum(axis=-1), x)
 
     def inner(self, x: Array, y: Array) -> Array:
-        """Return the inner product of the parts of two vectors of each problem: (B,) array."""
         return self._each_of(functools.partial(np.einsum, "...n,...n->..."), x, y)
 
     def inner_each(self, many: Array, x: Array) -> Array:
-        """Return the inner products of (k, n) vectors with one vector: (B, k) array."""
         return self._each_of(functools.partial(np.einsum, "k...n,...n->...k"), many, x)
 
     def largest(self, x: Array) -> Array:
-        """Return the largest entry of each problem: (B,) array."""
         return np.asarray(np.maximum.reduceat(x, self.starts))
 
     def spread(self, value: Any) -> Any:
@@ -126,7 +122,6 @@ class Segments:
         return np.asarray(self.spread(factor) * x)
 
     def combined(self, factors: Array, many: Array) -> Array:
-        """Return the sum of (k, n) vectors, each multiplied by its (B, k) factors."""
         if self._each:
             parts = many.reshape(len(many), -1, self._each)
             return np.einsum("bk,kbn->bn", factors, parts).ravel()
@@ -143,7 +138,7 @@ class Segments:
         return Segments(self.counts[problems])
 
     def _each_of(self, reduce: Callable[..., Any], *vectors: Array) -> Array:
-        """Return what a function of parts (..., n) gives for each problem, at once if n is one."""
+        """Return what a function of parts (..., n) gives for each problem; at once for one n."""
         if self._each:
             shaped = (x.reshape(*x.shape[:-1], -1, self._each) for x in vectors)
             return np.asarray(reduce(*shaped))
@@ -155,7 +150,6 @@ class Segments:
         return [x[..., a:b].copy() for a, b in zip([0, *ends], ends, strict=False)]
 
     def part(self, x: AnyArray, problem: int) -> AnyArray:
-        """Return the entries of one problem, as a view."""
         start = self.starts[problem]
         return x[start : start + self.counts[problem]]
 
