@@ -47,8 +47,8 @@
 // -D LISTED  0: rows see all column tiles; 1: those listed for their own tile, the
 //            levels in the list's order
 // -D MASKED  1: of the listed tiles, a work-group sees only the columns whose bits are set in the kernel's
-//            argument `column_masks`, (pairs, GROUPS_OF_TILE, MASK_WORDS), from pair `first_mask` on: see
-//            take_column.
+//            argument `column_masks`, (pairs, GROUPS_OF_TILE, MASK_WORDS), from pair `first_masked` of the list
+//            on: see take_column.
 // A file that defines TOPS 1, for exponents in float32, learns of each staged tile how large these get: see
 // largest_exponents.
 
@@ -112,11 +112,10 @@
 #if LISTED
 #define LIST_ARGUMENTS                                                                         \
     , const uint n_listed,                                                                     \
-    const __global uint* restrict list_starts,        /* (row tiles of this launch + 1,) */    \
+    const __global uint* restrict list_starts,        /* (row tiles + 1,) */                   \
     const __global uint* restrict listed              /* (n_listed,) */
-#define LIST_ROW (row_tile - first_row / TILE)
-#define OWN_FIRST list_starts[LIST_ROW]
-#define OWN_END list_starts[LIST_ROW + 1]
+#define OWN_FIRST list_starts[row_tile]
+#define OWN_END list_starts[row_tile + 1]
 #define TILE_AT(n) listed[n]
 #define OWN_LEVELS levels
 #define LEVEL_PLANE n_listed
@@ -464,7 +463,7 @@ INLINE vreal largest_exponents(
 // The mask of the n-th column tile for a block.
 #define OWN_MASK(n, block)                                                                     \
     (column_masks                                                                              \
-     + ((size_t)(first_mask + (n)) * GROUPS_OF_TILE + GROUP_OF_TILE(block)) * MASK_WORDS)
+     + ((size_t)((n) - first_masked) * GROUPS_OF_TILE + GROUP_OF_TILE(block)) * MASK_WORDS)
 
 // Whether no column of a listed tile is needed, or all are: the same for all work-items of a group.
 INLINE bool is_empty(const __global ulong* mask)
@@ -486,7 +485,7 @@ INLINE bool is_full(const __global ulong* mask)
 #define IS_EMPTY(n, block) is_empty(OWN_MASK(n, block))
 #define MASK_ARGUMENTS                                                                         \
     , const __global ulong* restrict column_masks, /* (pairs, GROUPS_OF_TILE, MASK_WORDS) */   \
-    const uint first_mask                          /* that of the first listed pair */
+    const uint first_masked                        /* the listed pair of the first mask */
 #define LOWEST_BIT(bits) (63u - (uint)clz((bits) & -(bits)))
 // A loop over the needed columns j of a tile, one by one.
 #define FOR_COLUMNS(mask, j)                                                                   \

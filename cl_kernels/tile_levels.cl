@@ -1,8 +1,11 @@
-// The levels of all pairs of tiles, see row_loop.cl, in float64: for each row tile p of a launch, over column tiles q,
+// The levels of pairs of tiles, see row_loop.cl, in float64: for each row tile p of a launch, over all column tiles q
+// or those that are listed for it,
 //
 //     level_pq = max_{j in q} [k g_j + log2 b_j] - k |p - q|^2 / 2,    row_level_p = max_q level_pq,
 //
 // and of level_pq - row_level_p the nearest float32, and where `planes` is 2 what that rounds off.
+//
+// Without lists `n_listed` is 0. Levels are (row tiles of the launch, planes, n_columns) then, else (planes, n_listed).
 //
 // Launch: a work-group of GROUP for each row tile.
 //
@@ -31,17 +34,25 @@ INLINE double level_of(
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void tile_levels(
-    const uint first_tile, const uint n_columns, const uint dimension, const uint planes, const double k,
+    const uint first_tile, const uint n_columns, const uint n_listed, const uint dimension, const uint planes,
+    const double k,
     const __global float* restrict row_centers,    // (row tiles, dimension): p
     const __global float* restrict column_centers, // (n_columns, dimension): q
     const __global double* restrict tile_max,      // (n_columns,)
+    const __global uint* restrict list_starts,     // (row tiles + 1,), as `listed` read with lists only
+    const __global uint* restrict listed,          // (n_listed,)
     __global double* restrict row_level,           // (row tiles of the launch,)
-    __global float* restrict levels)               // (row tiles of the launch, planes, n_columns)
+    __global float* restrict levels)               // see above
 {
-    const __global float* p = row_centers + (size_t)(first_tile + get_group_id(0)) * dimension;
+    const uint row_tile = first_tile + get_group_id(0);
+    const __global float* p = row_centers + (size_t)row_tile * dimension;
+    const uint begin = n_listed ? list_starts[row_tile] : 0;
+    const uint end = n_listed ? list_starts[row_tile + 1] : n_columns;
     double largest = -INFINITY;
-    for (uint q = get_local_id(0); q < n_columns; q += GROUP)
+    for (uint n = begin + get_local_id(0); n < end; n += GROUP) {
+        const uint q = n_listed ? listed[n] : n;
         largest = fmax(largest, level_of(dimension, k, p, column_centers + (size_t)q * dimension, tile_max[q]));
+    }
 #if GROUP > 1
     __local double largest_of[GROUP];
     largest_of[get_local_id(0)] = largest;
@@ -51,12 +62,15 @@ void tile_levels(
 #endif
     if (get_local_id(0) == 0)
         row_level[get_group_id(0)] = largest;
-    levels += (size_t)get_group_id(0) * planes * n_columns;
-    for (uint q = get_local_id(0); q < n_columns; q += GROUP) {
+    const size_t plane = n_listed ? n_listed : n_columns;
+    if (!n_listed)
+        levels += get_group_id(0) * planes * plane;
+    for (uint n = begin + get_local_id(0); n < end; n += GROUP) {
+        const uint q = n_listed ? listed[n] : n;
         const double level = level_of(dimension, k, p, column_centers + (size_t)q * dimension, tile_max[q]);
         const double own = fmax(level - largest, (double)SENTINEL);
-        levels[q] = (float)own;
+        levels[n] = (float)own;
         if (planes == 2)
-            levels[n_columns + q] = (float)(own - (double)(float)own);
+            levels[plane + n] = (float)(own - (double)(float)own);
     }
 }

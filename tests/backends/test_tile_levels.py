@@ -1,4 +1,4 @@
-"""Levels between tiles of dense sums are formed on the device where it has float64."""
+"""Levels between tiles are formed on the device where it has float64."""
 
 import numpy as np
 import pytest
@@ -35,6 +35,43 @@ def test_levels_of_the_device_are_the_hosts(device, rng, monkeypatch, operation,
         each = rows.stride * columns.stride // parts
         monkeypatch.setattr(LaunchBudget, "pairs", lambda budget: each)
     assert np.abs(run() - wanted).max() <= 1e-6 * epsilon
+
+
+@pytest.mark.parametrize("operation", ["softmin", "precise", "bounded", "moments"])
+def test_levels_of_listed_pairs_are_the_hosts(device, rng, monkeypatch, operation):
+    """In several launches, with tiles without mass; lists are uploaded once."""
+    if not device.has_float64:
+        pytest.skip("its levels are the host's")
+    n, epsilon = 900, 1e-2
+    weights = rng.random(n)
+    weights[: 2 * device.constants.tile] = 0
+    rows = device.upload(np.sort(rng.random((n, 4)), axis=0), np.full(n, 1 / n))
+    columns = device.upload(np.sort(rng.random((n, 4)), axis=0), weights, rng.random(n))
+    g = 0.1 * rng.normal(size=n)
+    softmin = device.softmin(rows, columns, g, epsilon)
+
+    def run():
+        near = device.near_pairs(rows, columns, g, softmin, epsilon, 1e-4)
+        arguments = rows, columns, g, epsilon
+        if operation == "bounded":
+            return near, device.bounded_softmin(*arguments, near, 1e-4)
+        if operation == "moments":
+            return near, device.plan_moments(rows, columns, g, softmin, epsilon, near=near)
+        return near, device.softmin(*arguments, operation == "precise", near)
+
+    wanted, on_host = run()
+    work, uploaded = device.row_loop.work, []
+    upload = work.buffer
+    monkeypatch.setattr(work, "buffer", lambda *all: uploaded.append(all[0]) or upload(*all))
+    monkeypatch.setattr(device.row_loop, "device_levels", 0)
+    each = columns.stride * device.constants.tile
+    monkeypatch.setattr(LaunchBudget, "pairs", lambda budget: each)
+    near, found = run()
+    assert sum(values is near.pairs.tiles for values in uploaded) == 1
+    assert np.array_equal(near.pairs.starts, wanted.pairs.starts)
+    assert np.array_equal(near.pairs.tiles, wanted.pairs.tiles)
+    for one, other in zip(found, on_host, strict=True):
+        assert np.abs(one - other).max() <= 1e-6 * epsilon
 
 
 def test_few_levels_are_the_hosts(device, rng, monkeypatch):

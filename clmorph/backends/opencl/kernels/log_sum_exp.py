@@ -1,6 +1,7 @@
 """The log-sum-exp of ``cl_kernels/log_sum_exp.cl``: soft minima and the rows' maxima."""
 
 import numpy as np
+import pyopencl as cl
 
 from clmorph.backends.opencl.build.constants import SENTINEL, SLICED_FROM
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
@@ -138,25 +139,26 @@ class LogSumExp:
             2 if float32 else int(bounded), masked,
         )  # fmt: skip
         if pairs is None:
-            exponents = loop.unleveled_exponents(rows, columns, potential, epsilon, precise)
+            exponents = loop.dense_exponents(rows, columns, potential, epsilon, precise)
         else:
-            exponents = loop.listed_exponents(rows, columns, potential, epsilon, precise)
+            exponents = loop.exponents(rows, columns, potential, epsilon, pairs, precise=precise)
+        in_float32 = []
+        if float32 is not None:
+            levels = np.empty(len(float32.pairs.tiles), np.float32)
+            cl.enqueue_copy(loop.work.queue, levels, exponents.levels)
+            in_float32 = [loop.work.buffer(float32.chosen(levels), np.uint8)]
         stacks = loop.constants.stacks(rows.centers.shape[1], precise)
         shares = loop.column_shares(rows, columns, pairs, stacks)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
-        for part, chosen in loop.masked_parts(kernel, rows, columns, pairs, shares):
+        for part, masks in loop.masked_parts(kernel, rows, columns, pairs, shares):
             n_rows = len(part) * tile
             found = np.empty((shares, n_rows), np.float32)
             # The buffer holds the sums and the rounding errors of their nearest float32.
             planes = np.empty((2 if bounded else 1, shares, n_rows), np.float32)
             buffers = loop.work.empty(found.nbytes), loop.work.empty(planes.nbytes)
-            levels = None if pairs is None else loop.set_levels(exponents, pairs, part)
-            if float32 is not None:
-                assert levels is not None
-                chosen.append(loop.work.buffer(float32.chosen(part, levels), np.uint8))
             loop.launch(
-                kernel, rows, columns, exponents, part, *chosen, np.uint32(n_rows), *buffers,
-                shares=shares, precise=precise, pairs=pairs, levels=levels,
+                kernel, rows, columns, exponents, part, *masks, *in_float32, np.uint32(n_rows),
+                *buffers, shares=shares, precise=precise, pairs=pairs,
                 results=tuple(zip((found, planes), buffers, strict=True)),
             )  # fmt: skip
             section = slice(part.start * tile, part.stop * tile)

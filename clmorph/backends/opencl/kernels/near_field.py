@@ -77,8 +77,8 @@ class NearField:
         values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
         guess = -k * (softmin[rows.order] - rows.offsets)
         values = np.maximum(values, SENTINEL)
-        # The level of each row tile is set by the pairs that a launch visits.
-        exponents = self._loop.listed_exponents(rows, columns, potential, epsilon)
+        # The level of each row tile is set by the pairs that bounds do not exclude.
+        exponents = self._loop.unleveled_exponents(rows, columns, potential, epsilon)
         left, kept = np.empty(len(rows.centers)), _Kept([], [], [], [], [])
         farthest, farthest_kept = 0.0, 0.0
         bounds = row_bounds(rows, guess, k)
@@ -142,30 +142,29 @@ class NearField:
         Both are for the pairs of a part's row tiles: see `TilePairs.masks`. Each row tile has a
         threshold: the base-2 logarithm of the share of a row's sum, as far as the sum is known.
         """
-        (rows, columns, exponents, guess, slopes, boxes), loop = clouds, self._loop
-        n = len(rows)
-        row_level, k = exponents.row_level, exponents.k
+        (rows, columns, terms, guess, slopes, boxes), loop = clouds, self._loop
         kernel = loop.kernel("near_field.cl", "mark_columns", rows, listed=True)
+        exponents = loop.with_levels(terms, rows, columns, pairs, part, precise=False)
         tile = loop.constants.tile
-        shape = tile // loop.constants.group_rows, -(-tile // 64)
-        masks = np.empty((len(pairs.tiles), *shape), np.uint64)
-        counts = np.empty(masks.shape[:2], np.uint16)
+        section = slice(part.start * tile, min(len(rows), part.stop * tile))
+        # No column counts for the rows of the padding.
+        limits = np.full(len(part) * tile, -SENTINEL)
+        some = slice(section.stop - section.start)
+        limits[some] = guess[section] + exponents.k * (
+            rows.own_costs[section] - rows.offsets[section]
+        )
+        of_tiles = log2_threshold - exponents.row_level[part.start : part.stop]
+        limits[some] += np.repeat(of_tiles, tile)[some]
+        limits = np.clip(limits, SENTINEL, -SENTINEL)
+        shape = len(pairs.tiles), tile // loop.constants.group_rows, -(-tile // 64)
+        masks, counts = np.empty(shape, np.uint64), np.empty(shape[:2], np.uint16)
+        found = tuple((each, loop.work.empty(each.nbytes)) for each in (counts, masks))
         for launch in loop.parts(kernel, rows, columns, pairs=pairs, within=part):
-            levels = loop.set_levels(exponents, pairs, launch)
-            section = slice(launch.start * tile, min(n, launch.stop * tile))
-            own = slice(launch.start - part.start, launch.stop - part.start)
-            # No column counts for the rows of the padding.
-            limits = np.full(len(launch) * tile, -SENTINEL)
-            some = slice(section.stop - section.start)
-            limits[some] = np.repeat(log2_threshold[own], tile)[some] + guess[section]
-            limits[some] += k * (rows.own_costs[section] - rows.offsets[section])
-            limits[some] -= np.repeat(row_level[launch.start : launch.stop], tile)[some]
-            found = counts[pairs.section(launch)], masks[pairs.section(launch)]
-            buffers = [loop.work.empty(values.nbytes) for values in found]
+            own = limits[(launch.start - part.start) * tile : (launch.stop - part.start) * tile]
             loop.launch(
                 kernel, rows, columns, exponents, launch, np.uint32(self.many_eighths),
-                loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), slopes, *boxes, *buffers,
-                pairs=pairs, levels=levels, results=tuple(zip(found, buffers, strict=True)),
+                loop.work.buffer(own), slopes, *boxes, *(buffer for _, buffer in found),
+                pairs=pairs, results=found if launch.stop == part.stop else (),
             )  # fmt: skip
         return masks, counts
 

@@ -84,7 +84,7 @@ class Float32Pairs:
     def __init__(
         self, rows: Cloud, columns: Cloud, pairs: TilePairs, values: Float64, k: float, limit: float
     ) -> None:
-        self._rows, self._columns, self._pairs, self._k = rows, columns, pairs, k
+        self._rows, self._columns, self.pairs, self._k = rows, columns, pairs, k
         self._limit, self.largest = limit, 0.0
         tiles, tile, self._dimension = columns.shifts.shape
         padded = pad(values, tiles * tile, SENTINEL).reshape(tiles, tile)
@@ -94,17 +94,15 @@ class Float32Pairs:
         # Tiles without mass have levels so low that they are not chosen.
         self._spreads = np.where(massive.any(axis=1), highest - lowest, 0.0)
 
-    def chosen(self, part: range, levels: Float64) -> NDArray[np.uint8]:
-        """Return for each listed pair of some row tiles whether it is chosen.
+    def chosen(self, levels: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Return for each listed pair, whose level is given, whether it is chosen.
 
-        The levels of these pairs are those of `row_loop.RowLoop.set_levels`.
+        Rounding of the levels to float32 is far less than the hundredth added to bounds.
         """
-        lengths = np.diff(self._pairs.starts[part.start : part.stop + 1])
-        own = np.repeat(self._rows.radii[part.start : part.stop], lengths)
-        listed = self._pairs.section(part)
-        tiles = self._pairs.tiles[listed]
+        tiles = self.pairs.tiles
+        own = np.repeat(self._rows.radii, np.diff(self.pairs.starts))
         radii = self._columns.radii[tiles]
-        apart = np.sqrt(2 * self._pairs.distances[listed])
+        apart = np.sqrt(2 * self.pairs.distances)
         products = self._k * own * (radii + apart)
         rest = np.abs(levels) + self._spreads[tiles] + self._k * radii * (apart + 0.5 * radii)
         bounds = (self._dimension + 4) * products + 2 * rest

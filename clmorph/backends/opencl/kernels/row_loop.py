@@ -1,5 +1,6 @@
 """The host side of ``cl_kernels/row_loop.cl``, which every reduction over rows uses."""
 
+import weakref
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ FILL_PAIRS = 1 << 22
 #: The largest number of levels between tiles that are kept from their maxima to the launch, in
 #: place of being formed again.
 KEPT_LEVELS = 1 << 18
-#: From this number of levels on, the device forms those of dense sums, if it has float64.
+#: From this number of levels on, the device forms them, if it has float64.
 DEVICE_LEVELS = 1 << 13
 
 
@@ -35,7 +36,8 @@ class Exponents(NamedTuple):
     tile_max: Float64  #: (column tiles,) the largest k g + log2 b of each tile
     row_level: Float64  #: (row tiles,) the level that the rows' exponents are measured from
     k: float  #: log2(e) / epsilon
-    levels: Float64 | None = None  #: (row tiles, column tiles), where few enough to be kept
+    #: (row tiles, column tiles), where few enough to be kept; on the device those of listed pairs
+    levels: Float64 | cl.MemoryObject | None = None
     tile_max_buffer: cl.Buffer | None = None  #: where the device forms levels: `tile_max`
 
 
@@ -47,6 +49,8 @@ class RowLoop:
         self._budgets: dict[int, LaunchBudget] = {}
         self._kernels: dict[Variant, dict[str, cl.Kernel]] = {}
         self._shapes: dict[int, tuple[int, tuple[int, int]]] = {}  # rows of an item, local size
+        self._lists: weakref.WeakKeyDictionary[TilePairs, tuple[cl.Buffer, cl.Buffer]]
+        self._lists = weakref.WeakKeyDictionary()
         self.device_levels = DEVICE_LEVELS
 
     def kernel(
@@ -106,16 +110,14 @@ class RowLoop:
         Only the row tiles `within` are needed. `precise` tells whether a kernel with precise
         exponents may use them.
         """
-        found = self.listed_exponents(rows, columns, potential, epsilon, precise)
+        found = self.unleveled_exponents(rows, columns, potential, epsilon, precise)
         _, tile_max, row_level, k, *_ = found
         within = within or range(len(row_level))
-        each = len(tile_max) if pairs is None else -(-len(pairs.tiles) // len(within))
-        step = max(1, (1 << 22) // max(1, each))
+        if pairs is not None:
+            return self.with_levels(found, rows, columns, pairs, within, precise)
+        step = max(1, (1 << 22) // max(1, len(tile_max)))
         for first in range(within.start, within.stop, step):
             block = range(first, min(first + step, within.stop))
-            if pairs is not None:
-                self.set_levels(found, pairs, block)
-                continue
             section = slice(block.start, block.stop)
             levels = _levels(rows.centers[section], columns.centers, tile_max, k)
             row_level[section] = levels.max(axis=1)
@@ -123,15 +125,15 @@ class RowLoop:
                 found = found._replace(levels=levels)
         return found
 
-    def listed_exponents(
+    def unleveled_exponents(
         self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool = True
     ) -> Exponents:
-        """Return the terms of the rows' exponents without levels, which `set_levels` sets."""
+        """Return the terms of the rows' exponents without levels, for `with_levels`."""
         k = LOG2_E / epsilon
         logits, tile_max = self.column_logits(columns, potential, k, precise)
         return Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
 
-    def unleveled_exponents(
+    def dense_exponents(
         self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool = True
     ) -> Exponents:
         """Return the terms for a dense sum, whose levels `launch` may have the device form.
@@ -141,7 +143,7 @@ class RowLoop:
         many = len(rows.centers) * len(columns.centers) >= self.device_levels
         if not many or not self._forms_levels():
             return self.exponents(rows, columns, potential, epsilon, precise=precise)
-        found = self.listed_exponents(rows, columns, potential, epsilon, precise)
+        found = self.unleveled_exponents(rows, columns, potential, epsilon, precise)
         return found._replace(tile_max_buffer=self.work.buffer(found.tile_max, np.float64))
 
     def _forms_levels(self) -> bool:
@@ -156,32 +158,51 @@ class RowLoop:
         return bool(self._kernels.get(variant))
 
     def _levels_on_device(
-        self, rows: Cloud, columns: Cloud, exponents: Exponents, part: range, precise: bool
-    ) -> cl.MemoryObject:
+        self, rows: Cloud, columns: Cloud, exponents: Exponents, part: range, precise: bool,
+        pairs: TilePairs | None = None,
+    ) -> cl.MemoryObject:  # fmt: skip
         """Form the levels of some row tiles on the device, and read the row levels."""
         n, n_columns, planes = len(part), len(columns.centers), 2 if precise else 1
-        levels, row_level = self.work.empty(4 * planes * n * n_columns), self.work.empty(8 * n)
+        n_listed, lists = 0, (columns.centers_buffer, columns.centers_buffer)
+        if pairs is not None:
+            n_listed, lists = len(pairs.tiles), self._lists_on_device(pairs)
+        levels = self.work.empty(4 * planes * (n_listed or n * n_columns))
+        row_level = self.work.empty(8 * n)
+        numbers = part.start, n_columns, n_listed, rows.centers.shape[1], planes
         self.work.launch(
             self._kernels[Variant("tile_levels.cl")]["tile_levels"],
-            (n * self.constants.group,), (self.constants.group,),
-            *map(np.uint32, (part.start, n_columns, rows.centers.shape[1], planes)),
+            (n * self.constants.group,), (self.constants.group,), *map(np.uint32, numbers),
             np.float64(exponents.k), rows.centers_buffer, columns.centers_buffer,
-            exponents.tile_max_buffer, row_level, levels,
+            exponents.tile_max_buffer, *lists, row_level, levels,
             results=((exponents.row_level[part.start : part.stop], row_level),),
         )  # fmt: skip
         return levels
 
-    def set_levels(self, exponents: Exponents, pairs: TilePairs, part: range) -> Float64:
-        """Set the level of each row tile of a part to the largest level of its listed pairs.
+    def _lists_on_device(self, pairs: TilePairs) -> tuple[cl.Buffer, cl.Buffer]:
+        """Return where lists begin, and the listed tiles, which are uploaded once."""
+        if pairs not in self._lists:
+            self._lists[pairs] = (
+                self.work.buffer(pairs.starts, np.uint32), self.work.buffer(pairs.tiles, np.uint32)
+            )  # fmt: skip
+        return self._lists[pairs]
 
-        Returned are the levels of the pairs, less those of their row tiles, which spare a launch
-        forming them: lists are long.
-        """
-        starts, _, levels = pairs.levels(part, exponents.tile_max, exponents.k)
-        own = np.maximum.reduceat(levels, starts[:-1])
-        exponents.row_level[part.start : part.stop] = own
-        levels -= np.repeat(own, np.diff(starts))
-        return levels
+    def with_levels(
+        self, exponents: Exponents, rows: Cloud, columns: Cloud, pairs: TilePairs, part: range,
+        precise: bool = True,
+    ) -> Exponents:  # fmt: skip
+        """Form the levels of a part's listed pairs; that of a row tile is its pairs' largest."""
+        if len(pairs.tiles) >= self.device_levels and self._forms_levels():
+            tile_max = self.work.buffer(exponents.tile_max, np.float64)
+            terms = exponents._replace(tile_max_buffer=tile_max)
+            formed = self._levels_on_device(rows, columns, terms, part, precise, pairs)
+            return exponents._replace(levels=formed)
+        starts, section = pairs.starts[part.start : part.stop + 1], pairs.section(part)
+        levels = np.zeros(len(pairs.tiles))
+        own = exponents.tile_max[pairs.tiles[section]] - exponents.k * pairs.distances[section]
+        largest = np.maximum.reduceat(own, starts[:-1] - starts[0])
+        exponents.row_level[part.start : part.stop] = largest
+        levels[section] = np.maximum(own - np.repeat(largest, np.diff(starts)), SENTINEL)
+        return exponents._replace(levels=self.work.buffer(split(levels) if precise else levels))
 
     def row_offsets(self, rows: Cloud, exponents: Exponents) -> Float64:
         """Return the term missing in e_ij, the level of the row's tile less its own cost: (N,)."""
@@ -273,8 +294,7 @@ class RowLoop:
             for part in self.parts(
                 kernel, rows, columns, pairs=pairs, within=within, shares=shares
             ):
-                first = pairs.starts[part.start] - pairs.starts[within.start]
-                yield part, [masks, np.uint32(first)]
+                yield part, [masks, np.uint32(pairs.starts[within.start])]
 
     def launch(
         self,
@@ -287,50 +307,33 @@ class RowLoop:
         shares: int | None = None,
         precise: bool = False,
         pairs: TilePairs | None = None,
-        levels: Float64 | None = None,
         results: Results = (),
     ) -> None:
         """Run a kernel over some row tiles, read its results, and wait for both.
 
         The kernel's own arguments follow those of the row loop. `shares` is the number of
         work-groups along the columns, of a kernel that has such (`column_shares`); a kernel built
-        with lists visits `pairs`, at the `levels` that `set_levels` has returned for the part. See
-        `Workspace.launch` for the results.
+        with lists visits `pairs`, whose levels are among the exponents. See `Workspace.launch` for
+        the results.
         """
         _, tile_max, row_level, k, known, on_device = exponents
         section = slice(part.start, part.stop)
         n_rows = len(part) * self.constants.tile
         lists: tuple[Any, ...] = ()
-        levels_buffer = None
+        work = n_rows * columns.stride
         if on_device is not None:
-            levels_buffer = self._levels_on_device(rows, columns, exponents, part, precise)
-            work = n_rows * columns.stride
+            levels = self._levels_on_device(rows, columns, exponents, part, precise)
         elif pairs is None:
             if known is None:
                 known = _levels(rows.centers[section], columns.centers, tile_max, k)
             else:
                 known = known[section]
-            levels = known - row_level[section, None]
-            work = n_rows * columns.stride
+            planes: NDArray[Any] = np.maximum(known - row_level[section, None], SENTINEL)
+            levels = self.work.buffer(np.swapaxes(split(planes), 0, 1) if precise else planes)
         else:
-            starts = pairs.starts[part.start : part.stop + 1] - pairs.starts[part.start]
-            listed = pairs.tiles[pairs.section(part)]
-            if levels is None:
-                levels = pairs.levels(part, tile_max, k)[2]
-                levels -= np.repeat(row_level[section], np.diff(starts))
-            done = pairs.done(self.constants.tile)
+            levels, done = known, pairs.done(self.constants.tile)
             work = int(done[part.stop] - done[part.start])
-            lists = (
-                np.uint32(len(listed)), self.work.buffer(starts, np.uint32),
-                self.work.buffer(listed, np.uint32),
-            )  # fmt: skip
-        if levels_buffer is None:
-            assert levels is not None
-            levels = np.maximum(levels, SENTINEL)
-            planes: NDArray[Any] = levels
-            if precise:
-                planes = split(levels) if lists else np.swapaxes(split(levels), 0, 1)
-            levels_buffer = self.work.buffer(planes)
+            lists = np.uint32(len(pairs.tiles)), *self._lists_on_device(pairs)
         windows = 1 if shares else self._windows(columns, pairs)
         at_once = len(columns.centers)
         if windows > 1:
@@ -344,7 +347,7 @@ class RowLoop:
                     np.uint32(window * at_once), np.uint32(at_once), *split(np.asarray(k)),
                     *dimension_argument(rows), rows.shifts_buffer, rows.centers_buffer,
                     columns.shifts_buffer, columns.centers_buffer, exponents.column_logits,
-                    levels_buffer, *lists, *arguments,
+                    levels, *lists, *arguments,
                     results=results if window + 1 == windows else (),
                 )  # fmt: skip
 

@@ -20,6 +20,7 @@ with the half sides h of the row tile's box. The bound holds for any a and w; le
 good ones. The device computes B and adds a bound of its rounding error.
 """
 
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,8 @@ from clmorph.backends.opencl.kernels.clouds import Tiles
 from clmorph.backends.records import Float64
 
 
-class TilePairs(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class TilePairs:
     """Column tiles of every row tile, and perhaps some columns of each."""
 
     #: (row tiles + 1,) array.
@@ -49,7 +51,7 @@ class TilePairs(NamedTuple):
 
     def without_masks(self) -> "TilePairs":
         """Return the same tiles with all their columns, for kernels that do not look at masks."""
-        return self._replace(masks=None, work=None)
+        return replace(self, masks=None, work=None)
 
     def section(self, part: range) -> slice:
         """Return the indices of the pairs of some row tiles."""
@@ -58,15 +60,6 @@ class TilePairs(NamedTuple):
     def done(self, tile: int) -> NDArray[np.int64]:
         """Return the number of pairs of points of the row tiles before each one, and in all."""
         return self.starts * tile**2 if self.work is None else self.work
-
-    def levels(
-        self, part: range, tile_max: Float64, k: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.uint32], Float64]:
-        """Return starts, column tiles, and the log2-kernel between centers, of some row tiles."""
-        starts = self.starts[part.start : part.stop + 1]
-        section = slice(starts[0], starts[-1])
-        tiles = self.tiles[section]
-        return starts - starts[0], tiles, tile_max[tiles] - k * self.distances[section]
 
 
 def center_costs(rows: Float64, columns: Float64) -> Float64:

@@ -1,5 +1,6 @@
 """Checks of the reductions over rows: soft minima, maxima, near pairs, moments and draws."""
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -79,11 +80,11 @@ def _offsets(case: Clouds) -> Findings:
 
 @check("tile_levels.cl", "tile_levels", "log_sum_exp")
 def levels(bench: Bench, variant: Variant) -> Findings:
-    """Compare soft minima whose rows begin at bounds of their exponents."""
+    """Compare soft minima, over all pairs and over near ones, whose levels the device forms."""
     with bench.forced("row_loop", "device_levels", 0):
-        for case in bench.clouds():
-            for precise in (False, True):
-                yield from _softmin(case, precise)
+        for listed, precise in itertools.product((False, True), repeat=2):
+            for case in bench.clouds(listed=listed):
+                yield from _softmin(case, precise, listed)
 
 
 @check("near_field.cl", "log_sum_exp")
