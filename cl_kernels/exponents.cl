@@ -43,6 +43,14 @@ typedef struct { vreal high, low; } ereal;
 #define HIGH(e) ((e).high)
 #define LOW(e) ((e).low)
 #endif
+
+INLINE ereal e_pair(const vreal high, const vreal low)
+{
+    ereal e;
+    HIGH(e) = high;
+    LOW(e) = low;
+    return e;
+}
 #else
 typedef float staged_real;
 typedef vreal ereal;
@@ -67,10 +75,7 @@ INLINE ereal e_load(const __global float* p, const size_t plane)
 #if PRECISE == 0
     return VLOAD(0, p);
 #elif PRECISE == 1
-    ereal e;
-    HIGH(e) = VLOAD(0, p);
-    LOW(e) = VLOAD(0, p + plane);
-    return e;
+    return e_pair(VLOAD(0, p), VLOAD(0, p + plane));
 #else
     return TO_EREAL(VLOAD(0, p)) + TO_EREAL(VLOAD(0, p + plane));
 #endif
@@ -79,36 +84,19 @@ INLINE ereal e_load(const __global float* p, const size_t plane)
 #if PRECISE == 1
 INLINE ereal e_sum(const ereal a, const ereal b)
 {
-    ereal s;
-    HIGH(s) = HIGH(a) + HIGH(b);
-    const vreal t = HIGH(s) - HIGH(a);
-    LOW(s) = ((HIGH(a) - (HIGH(s) - t)) + (HIGH(b) - t)) + (LOW(a) + LOW(b));
-    return s;
+    const vreal s = HIGH(a) + HIGH(b);
+    const vreal t = s - HIGH(a);
+    return e_pair(s, ((HIGH(a) - (s - t)) + (HIGH(b) - t)) + (LOW(a) + LOW(b)));
 }
 
 INLINE ereal e_product(const ereal a, const ereal b)
 {
-    ereal p;
-    HIGH(p) = HIGH(a) * HIGH(b);
-    LOW(p) = fma(HIGH(a), HIGH(b), -HIGH(p)) + (HIGH(a) * LOW(b) + LOW(a) * HIGH(b));
-    return p;
+    const vreal p = HIGH(a) * HIGH(b);
+    return e_pair(p, fma(HIGH(a), HIGH(b), -p) + (HIGH(a) * LOW(b) + LOW(a) * HIGH(b)));
 }
 
-INLINE ereal e_negative(const ereal a)
-{
-    ereal n;
-    HIGH(n) = -HIGH(a);
-    LOW(n) = -LOW(a);
-    return n;
-}
-
-INLINE ereal e_constant(const float high, const float low)
-{
-    ereal e;
-    HIGH(e) = (vreal)(high);
-    LOW(e) = (vreal)(low);
-    return e;
-}
+INLINE ereal e_negative(const ereal a) { return e_pair(-HIGH(a), -LOW(a)); }
+INLINE ereal e_constant(const float high, const float low) { return e_pair((vreal)(high), (vreal)(low)); }
 #else
 INLINE ereal e_sum(const ereal a, const ereal b) { return a + b; }
 INLINE ereal e_product(const ereal a, const ereal b) { return a * b; }
@@ -169,10 +157,7 @@ INLINE ereal e_staged(const __local staged_real* p)
 INLINE ereal e_unstage(const __local staged_real* p)
 {
 #if PRECISE == 1
-    ereal e;
-    HIGH(e) = VLOAD(0, p);
-    LOW(e) = VLOAD(0, p + STAGED_PLANE);
-    return e;
+    return e_pair(VLOAD(0, p), VLOAD(0, p + STAGED_PLANE));
 #else
     return VLOAD(0, p);
 #endif

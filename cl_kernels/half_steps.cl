@@ -211,9 +211,7 @@ void row_step(STEP_ARGUMENTS)
     row_level += first_tiles[0];
     numbers += get_group_id(0) * NUMBER_COUNT;
     __local real shared[GROUP];
-    const real damping = damping_of(epsilon, inverse_rho_source);
-    const real rate = TIMES(inverse_rho_source, damping), rates = PLUS(rate, inverse_rho_target);
-    const bool needed = IS_BELOW(REAL(0), rates);
+    RATES(source, target);
     reals unusual = REALS(0); // not a number if a softmin is not finite
     for (uint i = FIRST; i < own_n; i += STEP) {
         const reals softmin = softmin_of(maxima, sums, row_level, ROW(ROW_OWN_COSTS), shares, n, k, i);
@@ -269,9 +267,7 @@ void column_step(
     __local real shared[GROUP];
     SHARED real system[MEMORY * SYSTEM_ROW];
     const real row_damping = damping_of(epsilon, inverse_rho_source);
-    const real damping = damping_of(epsilon, inverse_rho_target);
-    const real rate = TIMES(inverse_rho_target, damping), rates = PLUS(rate, inverse_rho_source);
-    const bool needed = IS_BELOW(REAL(0), rates); // else both sides are balanced
+    RATES(target, source);
     reals farthest = REALS(0), unusual = REALS(0);
     for (uint i = FIRST; i < own_n; i += STEP)
         farthest = LARGER(farthest, distance_of(DLOAD(i, ROW(ROW_WEIGHTS)), DLOAD(i, ROW(ROW_F)),

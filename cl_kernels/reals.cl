@@ -75,22 +75,12 @@ typedef real reals;
 #define TO_VSINGLE(v) ((v).x + (v).y)
 #define TO_SINGLE(x) TO_VSINGLE(x)
 #define OF_BITS(low, high) (r_pair(as_float(low), as_float(high)))
-#define NEGATIVE(a) r_negative(a)
-#define SIZE(a) r_absolute(a)
-#define LARGER(a, b) r_larger(a, b)
-#define SMALLER(a, b) r_smaller(a, b)
 #define EXP(x) r_power_of_e(x, false)
 #define EXPM1(x) r_power_of_e(x, true)
 #define EXP2(x) EXP(TIMES(x, r_pair(0.69314718f, -1.9046542e-9f)))
-#define LOG(x) r_logarithm(x)
 #define LOG2(x) TIMES(LOG(x), r_pair(1.442695f, 1.925963e-8f))
-#define ROOT(x) r_root(x)
-#define PLUS(a, b) r_sum_of(a, b)
-#define MINUS(a, b) r_sum_of(a, r_negative(b))
-#define TIMES(a, b) r_product(a, b)
-#define OVER(a, b) r_quotient(a, b)
+#define MINUS(a, b) PLUS(a, NEGATIVE(b))
 #define BELOW(x, y, a, b) (IS_BELOW(x, y) ? (a) : (b))
-#define IS_BELOW(one, other) r_is_below(one, other)
 #define LEAST_REAL REAL(FLT_MIN)
 #define ONE_AND(tiny_trillionths) (r_pair(1.0f, 1e-12f * (float)(tiny_trillionths)))
 
@@ -105,7 +95,7 @@ INLINE real r_pair(const float high, const float low)
     return pair;
 }
 
-INLINE real r_negative(const real a) { return r_pair(-a.x, -a.y); }
+INLINE real NEGATIVE(const real a) { return r_pair(-a.x, -a.y); }
 
 INLINE real r_exact_sum(const float a, const float b)
 {
@@ -113,35 +103,35 @@ INLINE real r_exact_sum(const float a, const float b)
     return r_pair(sum, (a - (sum - of_b)) + (b - of_b));
 }
 
-INLINE real r_sum_of(const real a, const real b)
+INLINE real PLUS(const real a, const real b)
 {
     const real high = r_exact_sum(a.x, b.x);
     return r_exact_sum(high.x, high.y + (a.y + b.y));
 }
 
-INLINE real r_product(const real a, const real b)
+INLINE real TIMES(const real a, const real b)
 {
     const float high = a.x * b.x;
     return r_exact_sum(high, fma(a.x, b.x, -high) + (a.x * b.y + a.y * b.x));
 }
 
-INLINE real r_quotient(const real a, const real b)
+INLINE real OVER(const real a, const real b)
 {
     const float high = a.x / b.x;
     const real rest = MINUS(a, TIMES(b, REAL(high)));
     return r_exact_sum(high, rest.x / b.x);
 }
 
-INLINE bool r_is_below(const real a, const real b)
+INLINE bool IS_BELOW(const real a, const real b)
 {
     return a.x < b.x || (a.x == b.x && a.y < b.y);
 }
 
-INLINE real r_larger(const real a, const real b) { return r_is_below(a, b) ? b : a; }
-INLINE real r_smaller(const real a, const real b) { return r_is_below(b, a) ? b : a; }
-INLINE real r_absolute(const real a) { return a.x < 0.0f ? r_negative(a) : a; }
+INLINE real LARGER(const real a, const real b) { return IS_BELOW(a, b) ? b : a; }
+INLINE real SMALLER(const real a, const real b) { return IS_BELOW(b, a) ? b : a; }
+INLINE real SIZE(const real a) { return a.x < 0.0f ? NEGATIVE(a) : a; }
 
-INLINE real r_root(const real x)
+INLINE real ROOT(const real x)
 {
     const float near = sqrt(x.x);
     return x.x > 0.0f
@@ -152,7 +142,7 @@ INLINE real r_root(const real x)
 // from it four times.
 FUNCTION real r_power_of_e(const real given, const bool less_one)
 {
-    const real x = r_larger(given, REAL(-87));
+    const real x = LARGER(given, REAL(-87));
     const float n = rint(1.442695f * x.x);
     real r = PLUS(x, REAL(-0.69314575f * n)); // of 16 bits, so that the product is exact
     r = MINUS(r, TIMES(REAL(n), r_pair(1.4286068e-6f, 5.497923e-14f)));
@@ -173,10 +163,10 @@ FUNCTION real r_power_of_e(const real given, const bool less_one)
 }
 
 // log(x) from that in float32, by a step of Newton's method and the next term.
-FUNCTION real r_logarithm(const real x)
+FUNCTION real LOG(const real x)
 {
     const real near = REAL(log(x.x));
-    const real off = PLUS(TIMES(x, EXP(r_negative(near))), REAL(-1));
+    const real off = PLUS(TIMES(x, EXP(NEGATIVE(near))), REAL(-1));
     return PLUS(near, MINUS(off, REAL(0.5f * off.x * off.x)));
 }
 #endif

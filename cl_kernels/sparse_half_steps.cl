@@ -46,6 +46,10 @@
     __global real* restrict partials,            /* (2, PARTIALS, groups) */                   \
     __global real* restrict numbers
 
+#define STAGE_SETUP                                                                            \
+    __local real shared[GROUP];                                                                \
+    const uint groups = get_num_groups(0)
+
 // The entries of a work-item: each group has consecutive ones.
 #define ALL_GROUPS (get_num_groups(0) * STEP)
 #define OWN_ENTRIES(size) (((size) + ALL_GROUPS - 1) / ALL_GROUPS * STEP)
@@ -128,9 +132,9 @@ INLINE real joined_log_sum(
 
 // The logarithm of the plan's mass after a half-step, whose sum `after` has moved with its shift.
 INLINE real log_mass_of(
-    const real after, const real shift, const real rate, const real rates, const real side_mass)
+    const real after, const real shift, const real rate, const bool needed, const real side_mass)
 {
-    return IS_BELOW(REAL(0), rates) ? PLUS(after, TIMES(shift, rate)) : LOG(side_mass);
+    return needed ? PLUS(after, TIMES(shift, rate)) : LOG(side_mass);
 }
 
 INLINE real mass_of(const real log_mass)
@@ -181,11 +185,9 @@ void row_softmins(
     const __global float* restrict maxima,  // (n,)
     const __global float* restrict sums)    // (n,)
 {
-    __local real shared[GROUP];
-    const uint groups = get_num_groups(0);
+    STAGE_SETUP;
     const real middle = numbers[NUMBER_COLUMN_MIDDLE];
-    const real rate = TIMES(inverse_rho_source, damping_of(epsilon, inverse_rho_source));
-    const bool needed = IS_BELOW(REAL(0), PLUS(rate, inverse_rho_target));
+    RATES(source, target);
     reals unusual = REALS(0);
     for (uint i = OWN_FIRST(n); i < OWN_END(n); i += STEP) {
         const reals softmin = stored_softmin(
@@ -210,11 +212,9 @@ void row_step(
     STAGE_ARGUMENTS,
     __global float* restrict changes)  // (n,)
 {
-    __local real shared[GROUP];
-    const uint groups = get_num_groups(0);
+    STAGE_SETUP;
     const real middle = numbers[NUMBER_ROW_NEXT];
-    const real damping = damping_of(epsilon, inverse_rho_source);
-    const real rate = TIMES(inverse_rho_source, damping), rates = PLUS(rate, inverse_rho_target);
+    RATES(source, target);
     const real after = joined_log_sum(LEFT(0, 0), LEFT(0, 1), groups, shared);
     const real before = joined_log_sum(LEFT(0, 2), LEFT(0, 3), groups, shared);
     const real finite = joined(LEFT(0, 4), groups, false, shared);
@@ -250,7 +250,7 @@ void row_step(
     leave(sum_of_lanes(along), false, LEFT(1, 5), shared);
     leave(sum_of_lanes(other_along), false, LEFT(1, 6), shared);
     if (get_global_id(0) == 0) {
-        numbers[NUMBER_LOG_MASS] = log_mass_of(after, shift, rate, rates, source_mass);
+        numbers[NUMBER_LOG_MASS] = log_mass_of(after, shift, rate, needed, source_mass);
         numbers[NUMBER_ROW_FINITE] = finite;
         numbers[NUMBER_ROW_MIDDLE] = middle;
     }
@@ -267,8 +267,7 @@ void column_softmins(
     const __global float* restrict maxima,  // (m,)
     const __global float* restrict sums)    // (m,)
 {
-    __local real shared[GROUP];
-    const uint groups = get_num_groups(0);
+    STAGE_SETUP;
     const real middle = numbers[NUMBER_ROW_MIDDLE];
     const real up = joined(LEFT(1, 0), groups, true, shared);
     const real down = joined(LEFT(1, 1), groups, true, shared);
@@ -278,8 +277,7 @@ void column_softmins(
     const real along = joined(LEFT(1, 5), groups, false, shared);
     const real other_along = joined(LEFT(1, 6), groups, false, shared);
     const real row_damping = damping_of(epsilon, inverse_rho_source);
-    const real damping = damping_of(epsilon, inverse_rho_target);
-    const real rate = TIMES(inverse_rho_target, damping);
+    RATES(target, source);
     reals farthest = REALS(0), unusual = REALS(0);
     for (uint i = OWN_FIRST(n); i < OWN_END(n); i += STEP)
         farthest = LARGER(farthest, distance_of(DLOAD(i, ROW_GIVEN(GIVEN_WEIGHTS)), DLOAD(i, ROW(ROW_F)),
@@ -292,8 +290,8 @@ void column_softmins(
                                                 DLOAD(i, COLUMN(COLUMN_SHIFTED)), TIMES(SPREAD(damping), softmin)));
         unusual = PLUS(unusual, TIMES(softmin, REALS(0)));
     }
-    leave_log_sum(COLUMN_GIVEN(GIVEN_LOG_WEIGHTS), COLUMN(COLUMN_SOFTMIN), m, rate,
-                  IS_BELOW(REAL(0), PLUS(rate, inverse_rho_source)), LEFT(0, 0), LEFT(0, 1), shared);
+    leave_log_sum(COLUMN_GIVEN(GIVEN_LOG_WEIGHTS), COLUMN(COLUMN_SOFTMIN), m, rate, needed,
+                  LEFT(0, 0), LEFT(0, 1), shared);
     leave(largest_lane(farthest), true, LEFT(0, 2), shared);
     leave(sum_of_lanes(unusual), false, LEFT(0, 3), shared);
     if (get_global_id(0) == 0) {
@@ -313,10 +311,8 @@ void column_softmins(
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_step(STAGE_ARGUMENTS)
 {
-    __local real shared[GROUP];
-    const uint groups = get_num_groups(0);
-    const real damping = damping_of(epsilon, inverse_rho_target);
-    const real rate = TIMES(inverse_rho_target, damping), rates = PLUS(rate, inverse_rho_source);
+    STAGE_SETUP;
+    RATES(target, source);
     const real after = joined_log_sum(LEFT(0, 0), LEFT(0, 1), groups, shared);
     const real residual = OVER(joined(LEFT(0, 2), groups, true, shared), epsilon);
     const real finite = joined(LEFT(0, 3), groups, false, shared);
@@ -353,7 +349,7 @@ void column_step(STAGE_ARGUMENTS)
         }
     }
     if (get_global_id(0) == 0) {
-        numbers[NUMBER_PLAN_MASS] = mass_of(log_mass_of(after, shift, rate, rates, target_mass));
+        numbers[NUMBER_PLAN_MASS] = mass_of(log_mass_of(after, shift, rate, needed, target_mass));
         numbers[NUMBER_RESIDUAL_SIZE] = residual;
         numbers[NUMBER_COLUMN_FINITE] = finite;
     }
@@ -369,9 +365,8 @@ void extrapolate(
     const __global real* restrict products,  // (MEMORY, MEMORY)
     __global real* restrict newest)          // (MEMORY,): inner products of the new difference
 {
-    __local real shared[GROUP];
+    STAGE_SETUP;
     SHARED real system[MEMORY * SYSTEM_ROW];
-    const uint groups = get_num_groups(0);
     const real marginals = joined(LEFT(1, 0), groups, false, shared);
     const real square = joined(LEFT(1, 1), groups, false, shared);
     const real along = joined(LEFT(1, 2), groups, false, shared);
@@ -415,8 +410,7 @@ void next_potential(
     const real radius,
     __global float* restrict changes)  // (m,)
 {
-    __local real shared[GROUP];
-    const uint groups = get_num_groups(0);
+    STAGE_SETUP;
     const real middle = numbers[NUMBER_COLUMN_NEXT];
     const real longest = TIMES(radius, numbers[NUMBER_RESIDUAL_NORM]);
     const real length = ROOT(joined(LEFT(0, 0), groups, false, shared));

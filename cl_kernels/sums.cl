@@ -122,36 +122,28 @@ INLINE sreal power_above(const ereal e, const vreal m)
     return AS_DOUBLES(AS_ULONGS(p) + (AS_ULONGS(shifted) << 52));
 #else
     const float magic = 12582912.0f;
-    ereal minus_m;
-    HIGH(minus_m) = -m;
-    LOW(minus_m) = (vreal)(0.0f);
-    const ereal x = e_sum(e, minus_m);
+    const ereal x = e_sum(e, e_pair(-m, (vreal)(0.0f)));
     const vreal high = max(HIGH(x), (vreal)(-125.0f));
     const vreal shifted = high + magic;
     const vreal rest = high - (shifted - magic);
     // Where high parts have canceled, the low one is no longer small beside it.
     const vreal low = select(LOW(x), (vreal)(0.0f), HIGH(x) < (vreal)(-125.0f));
-    ereal r;
-    HIGH(r) = rest + low;
-    const vreal t = HIGH(r) - rest;
-    LOW(r) = (rest - (HIGH(r) - t)) + (low - t);
+    const vreal nearest = rest + low;
+    const vreal t = nearest - rest;
+    const ereal r = e_pair(nearest, (rest - (nearest - t)) + (low - t));
     vreal tail = (vreal)(1.0178086e-07f);
     tail = tail * HIGH(r) + 1.3215486e-06f;
     tail = tail * HIGH(r) + 1.5252734e-05f;
     tail = tail * HIGH(r) + 1.540353e-04f;
     tail = tail * HIGH(r) + 1.3333558e-03f;
     tail = tail * HIGH(r) + 9.618129e-03f;
-    ereal p;
-    HIGH(p) = tail;
-    LOW(p) = (vreal)(0.0f);
+    ereal p = e_pair(tail, (vreal)(0.0f));
     p = e_sum(e_product(p, r), e_constant(0.05550410971045494f, -1.0456333576769339e-09f));
     p = e_sum(e_product(p, r), e_constant(0.24022650718688965f, -2.277889543655931e-10f));
     p = e_sum(e_product(p, r), e_constant(0.6931471824645996f, -1.9046542121259336e-09f));
     p = e_sum(e_product(p, r), e_constant(1.0f, 0.0f));
     const vreal scale = AS_VREAL((AS_VUINT(shifted) << 23) + 0x3f800000u);
-    HIGH(p) *= scale;
-    LOW(p) *= scale;
-    return p;
+    return e_pair(HIGH(p) * scale, LOW(p) * scale);
 #endif
 }
 
@@ -161,10 +153,7 @@ INLINE sreal rescaled(const sreal s, const vreal n)
 #if PRECISE == 2
     return s * TO_EREAL(whole_power(n));
 #else
-    ereal scaled;
-    HIGH(scaled) = HIGH(s) * whole_power(n);
-    LOW(scaled) = LOW(s) * whole_power(n);
-    return scaled;
+    return e_pair(HIGH(s) * whole_power(n), LOW(s) * whole_power(n));
 #endif
 }
 

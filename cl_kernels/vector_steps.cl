@@ -121,6 +121,13 @@ INLINE real damping_of(const real epsilon, const real inverse_rho)
     return OVER(REAL(1), PLUS(REAL(1), TIMES(epsilon, inverse_rho)));
 }
 
+// The damping of a half-step of the side `own`, source or target; the rates 1 / (rho + epsilon) of that side and,
+// with 1 / rho of the other one, of both; and whether they are above 0: else both sides are balanced.
+#define RATES(own, other)                                                                      \
+    const real damping = damping_of(epsilon, inverse_rho_##own);                               \
+    const real rate = TIMES(inverse_rho_##own, damping), rates = PLUS(rate, inverse_rho_##other); \
+    const bool needed = IS_BELOW(REAL(0), rates)
+
 // The logarithm of weights exp(-rate potential), whose sums give the translation.
 INLINE reals log_scaled(const reals log_weights, const reals potential, const real rate)
 {
