@@ -21,6 +21,8 @@ TARGET_SECONDS = 0.08
 LAUNCH_PARTICLES = 1 << 20
 #: The largest number of bytes of released buffers that are kept for reuse.
 HELD_BYTES = 1 << 28
+#: From this number of bytes on, uploads reuse memory: below, a command takes longer than it saves.
+POOLED_BYTES = 1 << 18
 
 #: Arrays, and the buffers that they are read from.
 Results = Sequence[tuple[NDArray[Any], cl.MemoryObject]]
@@ -85,10 +87,15 @@ class Workspace:
             self.device_seconds += seconds
             self.longest_launch = max(self.longest_launch, (seconds, kernel.function_name))
 
-    def buffer(self, values: NDArray[Any], dtype: Any = np.float32) -> cl.Buffer:
-        """Return a buffer that holds these values."""
+    def buffer(self, values: NDArray[Any], dtype: Any = np.float32) -> cl.MemoryObject:
+        """Return a buffer that holds these values; large ones reuse memory, see `empty`."""
+        content = np.ascontiguousarray(values, dtype)
+        if content.nbytes >= POOLED_BYTES:
+            buffer = self.empty(content.nbytes)
+            cl.enqueue_copy(self.queue, buffer, content)
+            return buffer
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, dtype))
+        return cl.Buffer(self.context, flags, hostbuf=content)
 
     def empty(self, n_bytes: int) -> cl.MemoryObject:
         """Return an uninitialized buffer.

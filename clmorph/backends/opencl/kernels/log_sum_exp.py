@@ -162,8 +162,8 @@ class LogSumExp:
                 results=tuple(zip((found, planes), buffers, strict=True)),
             )  # fmt: skip
             section = slice(part.start * tile, part.stop * tile)
-            if shares == 1 and not bounded:
-                maxima[section], sums[section] = found[0], planes[0, 0]
+            if shares == 1:
+                maxima[section], sums[section] = found[0], planes[:, 0].sum(axis=0, dtype=float)
                 continue
             of_shares = planes.astype(float).sum(axis=0)
             m = found.max(axis=0).astype(float)

@@ -97,16 +97,19 @@ class Float32Pairs:
     def chosen(self, levels: NDArray[np.float32]) -> NDArray[np.uint8]:
         """Return for each listed pair, whose level is given, whether it is chosen.
 
-        Rounding of the levels to float32 is far less than the hundredth added to bounds.
+        Rounding to float32, here and of levels, is far less than the hundredth added to bounds.
         """
         tiles = self.pairs.tiles
-        own = np.repeat(self._rows.radii, np.diff(self.pairs.starts))
-        radii = self._columns.radii[tiles]
-        apart = np.sqrt(2 * self.pairs.distances)
-        products = self._k * own * (radii + apart)
-        rest = np.abs(levels) + self._spreads[tiles] + self._k * radii * (apart + 0.5 * radii)
-        bounds = (self._dimension + 4) * products + 2 * rest
-        bounds *= 1.01 * np.log(2) * FLOAT32_ERRORS[0]
-        chosen = bounds <= self._limit
+        # What overflows is not chosen.
+        with np.errstate(over="ignore", invalid="ignore"):
+            k, of_columns = np.float32(self._k), self._columns.radii.astype(np.float32)
+            own = np.repeat(self._rows.radii.astype(np.float32), np.diff(self.pairs.starts))
+            radii, spreads = of_columns[tiles], self._spreads.astype(np.float32)[tiles]
+            apart = np.sqrt(self.pairs.distances.astype(np.float32) * np.float32(2))
+            products = k * own * (radii + apart)
+            rest = np.abs(levels) + spreads + k * radii * (apart + np.float32(0.5) * radii)
+            bounds = np.float32(self._dimension + 4) * products + np.float32(2) * rest
+            bounds *= np.float32(1.01 * np.log(2) * FLOAT32_ERRORS[0])
+            chosen = bounds <= np.float32(self._limit)
         self.largest = max(self.largest, float(bounds[chosen].max(initial=0.0)))
         return chosen.astype(np.uint8)
