@@ -90,7 +90,7 @@ class Layers:
             first, second = (half.outline for half in halves)
             within = np.maximum(first, second)
             shared = np.clip((np.minimum(first, second) + RIM) / RIM, 0.0, 1.0)
-            self.thin = thinness([first, second])
+            self.thin, _ = thinness([first, second])
             self.agreement = self.agreement * np.clip((within + 2 * RIM) / RIM, 0.0, 1.0)
             # Outlines that are apart are seen twice in a mixture.
             near = [np.clip(outline, -2 * RIM, 2 * RIM) for outline in (first, second)]

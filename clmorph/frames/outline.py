@@ -180,8 +180,8 @@ def level_of(
     return level
 
 
-def thinness(distances: Sequence[Array]) -> Array:
-    """Return from 0 to 1 where all figures have but thin lines, or one has but fine ones.
+def thinness(distances: Sequence[Array]) -> tuple[Array, Array]:
+    """Return from 0 to 1 where all figures have thin lines or one but fine ones, and the latter.
 
     The mean of the distances from broad figures and from fine lines has no lines. Distances,
     (h, w), are in points.
@@ -191,7 +191,8 @@ def thinness(distances: Sequence[Array]) -> Array:
     half = THIN * max(distances[0].shape)
     widest = maximum_filter(np.max(distances, axis=0), 2 * int(2 * half) + 1)
     thin = blurred(np.clip(2.0 - widest / half, 0.0, 1.0), half)
-    return np.asarray(np.max([thin, *map(fineness, distances)], axis=0))
+    fine = np.max([fineness(each) for each in distances], axis=0)
+    return np.maximum(thin, fine), fine
 
 
 def fineness(distance: Array) -> Array:

@@ -24,7 +24,7 @@ from clmorph.frames.ends import End
 from clmorph.frames.fields import CELLS, POINTS, affine, blurred
 from clmorph.frames.figures import Figure, beyond
 from clmorph.frames.moved_layer import Layer, led_to
-from clmorph.frames.outline import around, fineness, outline_of, thinness
+from clmorph.frames.outline import around, outline_of, thinness
 from clmorph.frames.resampling import Enlarged, reduced
 from clmorph.images.color import PART, from_space, to_space
 
@@ -298,8 +298,9 @@ class Pictures:
             return self._shown(drawn("own", weights, canvas, low)[..., :3])
         distances = self._distances(layers, ways)
         covered = _where_covered(distances, shares, weights)
-        thin = thin * thinness(distances)
-        fine = np.minimum(thin, np.max([fineness(each) for each in distances], axis=0))
+        now, fine = thinness(distances)
+        thin = thin * now
+        fine = np.minimum(thin, fine)
         lines = [each + thin * (weight - each) for each, weight in zip(even, weights, strict=True)]
 
         def distance_on(on: Canvas) -> Float32:

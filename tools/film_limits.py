@@ -1,0 +1,100 @@
+"""Measure what films cannot beat: ``python tools/film_limits.py``.
+
+The first table is of the bench's pairs (`bench_films.py`): the ghost (the mean over t = 1/4, 1/2,
+3/4) and the share in place at 1/2 of the film, of the same film without any mixing, and of a wipe
+in place. Without mixing each pixel shows one moved picture alone, cut hard, so that what it has of
+both measures is of borders between regions, and of pictures that are like one another.
+
+The second table is of flat discs, drawn exactly: what a crisp figure that moves or grows has of
+the measures that were made for photographs. `--only NAME` takes the pairs with NAME in their names.
+"""
+
+import argparse
+from unittest.mock import patch
+
+import numpy as np
+from bench_films import FLICKER_FRAMES, FRAMES, PLAIN, over, wipe
+from benching import line, print_head
+from picture_pairs import FILM_PAIRS, Picture
+from PIL import Image, ImageDraw
+
+import clmorph
+from clmorph.analysis.metrics import crossfade_share, film_measures, ghost
+from clmorph.frames import layers, pictures
+from clmorph.images.pixels import resized
+
+TIMES = (0.25, 0.5, 0.75)
+SIDE, RED, ORANGE = 256, np.array([214, 39, 40]), np.array([255, 127, 14])
+#: Center, radius and color of discs at time t.
+DISCS = {
+    "moves by its radius": lambda t: (108 + 40 * t, 40, RED),
+    "grows to four times its radius": lambda t: (128, 20 + 60 * t, RED),
+    "shrinks, and changes its color": lambda t: (128, 90 - 50 * t, (1 - t) * RED + t * ORANGE),
+}
+
+
+def film(ends: tuple[Picture, Picture]) -> list[Picture]:
+    """Return the frames at the three times, opacity over gray."""
+    made = clmorph.morph(*ends, n_frames=FRAMES, **PLAIN)
+    return [over(made.frame(t), 0.5) for t in TIMES]
+
+
+def cut(ends: tuple[Picture, Picture]) -> list[Picture]:
+    """Return the same frames without any mixing."""
+
+    def switched(times: np.ndarray, agreement: np.ndarray, t: float) -> np.ndarray:
+        agreement[:] = 0  # The frame is drawn by it, too.
+        return (times < t).astype(float)
+
+    with patch.object(layers, "switched", switched), patch.object(pictures, "MEAN_SHARE", 0.0):
+        return film(ends)
+
+
+def judged(frames: list[Picture], ends: tuple[Picture, Picture]) -> tuple[float, float]:
+    """Return the ghost, in units of a cross-fade's, and the share in place."""
+    first, last = (resized(over(end, 0.5), frames[1].shape[:2]) for end in ends)
+    base = np.mean([ghost((1 - t) * first + t * last, first, last) for t in TIMES])
+    found = np.mean([ghost(frame, first, last) for frame in frames])
+    return float(found / max(base, 1e-9)), crossfade_share(frames[1], first, last)
+
+
+def wiped(ends: tuple[Picture, Picture]) -> list[Picture]:
+    shape = np.maximum(ends[0].shape[:2], ends[1].shape[:2])
+    frames = wipe(*(resized(over(end, 0.5), tuple(shape)) for end in ends), FRAMES)
+    return [frames[round(t * (FRAMES - 1))] for t in TIMES]
+
+
+def disc(x: float, radius: float, color: np.ndarray) -> Picture:
+    """Return an anti-aliased disc on white."""
+    image = Image.new("RGB", (8 * SIDE, 8 * SIDE), "white")
+    box = [8 * (x - radius), 4 * SIDE - 8 * radius, 8 * (x + radius), 4 * SIDE + 8 * radius]
+    ImageDraw.Draw(image).ellipse(box, fill=tuple(np.rint(color).astype(int).tolist()))
+    return np.asarray(image.resize((SIDE, SIDE), Image.Resampling.BOX)) / 255.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", default="", metavar="NAME")
+    options = parser.parse_args()
+    pairs = [pair for pair in FILM_PAIRS if options.only in pair]
+    if not pairs:
+        parser.error(f"no pair has {options.only!r} in its name: {'; '.join(FILM_PAIRS)}")
+    print_head("pair", "ghost: film", "no mixing", "wipe", "share: film", "no mixing", "wipe")
+    for pair in pairs:
+        try:
+            ends = FILM_PAIRS[pair]()
+        except ImportError as error:
+            print(line(pair, f"left out: {error}", *5 * [""]), flush=True)
+            continue
+        ghosts, shares = zip(*(judged(way(ends), ends) for way in (film, cut, wiped)), strict=True)
+        print(line(pair, *(f"{value:.2f}" for value in ghosts + shares)), flush=True)
+    print()
+    print_head("disc", "sharp", "uneven", "flicker")
+    for name, place in DISCS.items():
+        found = film_measures([disc(*place(t)) for t in np.linspace(0, 1, FLICKER_FRAMES)])
+        sharp = " ".join(f"{value:.2f}" for value in found.relative_sharpness)
+        print(line(name, sharp, f"{found.unevenness:.2f}", f"{found.flicker:.2f}"))
+
+
+if __name__ == "__main__":
+    main()
