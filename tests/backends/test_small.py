@@ -1,7 +1,4 @@
-"""Every operation, and one solve, divergence and morph, at sizes for a simulator or a slow device.
-
-``oclgrind pytest --device Oclgrind tests/backends/test_small.py`` runs them in a simulator.
-"""
+"""Every operation, and one solve, divergence and morph, at sizes for a slow device."""
 
 from dataclasses import replace
 

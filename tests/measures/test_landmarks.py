@@ -207,11 +207,11 @@ def test_distant_landmarks_share_a_coordinate():
         assert owners[k] != owners[k + 1], (one, other)
 
 
-def test_landmarks_are_in_pixels_of_the_given_pictures(rng):
+def test_landmarks_are_in_pixels_of_the_given_pictures(device, rng):
     """Also if the pictures are reduced, or their shapes differ."""
     a, b = smooth(rng, 32, 40), smooth(rng, 48, 32)
     landmarks = [((12, 10), (10, 20)), ((28, 20), (20, 30))]
-    options = {"blur": 0.05, "color_weight": 0.5, "n_frames": 2, "backend": "numpy", "tol": 1e-2}
+    options = {"blur": 0.05, "color_weight": 0.5, "n_frames": 2, "backend": device, "tol": 1e-2}
     morph = plain.morph(a, b, landmarks=landmarks, **options)
     assert misses(morph, landmarks).max() < 1.0
     small = plain.morph(a, b, landmarks=landmarks, size=20, **options)

@@ -14,12 +14,12 @@ from benching import CountedBuffer
 import clmorph
 from clmorph.pipeline.presets import PRESETS
 
-#: Sets of options: all presets, other forms of the plan, and other ways to draw.
-SETS = [
-    *({"preset": name} for name in PRESETS),
+#: Sets of options: other forms of the plan, and other ways to draw.
+FORMS = [
     {"sample": 3, "seed": 2}, {"barycentric": True}, {"splatting": "local", "detail": "particles"},
     {"reach": None, "color_space": "lab", "endpoints": "paper"}, {"unmatched": "grow"},
 ]  # fmt: skip
+ALL_PRESETS = pytest.param([{"preset": name} for name in PRESETS], marks=pytest.mark.full)
 
 
 def held(device):
@@ -36,7 +36,8 @@ def held(device):
 
 
 @pytest.mark.filterwarnings("ignore")  # some sets do not converge
-def test_morphs_in_threads_are_those_in_a_row(each_device, rng, tmp_path, monkeypatch):
+@pytest.mark.parametrize("sets", [FORMS, ALL_PRESETS], ids=["forms", "presets"])
+def test_morphs_in_threads_are_those_in_a_row(each_device, sets, rng, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(cl, "Buffer", CountedBuffer)
     images = rng.random((9, 12, 3)), rng.random((11, 8, 4))
@@ -48,9 +49,9 @@ def test_morphs_in_threads_are_those_in_a_row(each_device, rng, tmp_path, monkey
             result.save(file, canvas="source")
             return [frame.tobytes() for frame in result.iter_frames()], file.read_bytes()
 
-    wanted = [made(options) for options in SETS]
+    wanted = [made(options) for options in sets]
     for _ in range(2):
         before = held(each_device)
         with ThreadPoolExecutor(4) as threads:
-            assert list(threads.map(made, SETS)) == wanted
+            assert list(threads.map(made, sets)) == wanted
     assert np.all(held(each_device) <= before)
