@@ -6,7 +6,10 @@ in place. Without mixing each pixel shows one moved picture alone, cut hard, so 
 both measures is of borders between regions, and of pictures that are like one another.
 
 The second table is of flat discs, drawn exactly: what a crisp figure that moves or grows has of
-the measures that were made for photographs. `--only NAME` takes the pairs with NAME in their names.
+the measures that were made for photographs; and of a film between two pictures of unlike shapes
+that are made square before: without that, each frame is brought to one shape to measure it.
+
+``--only NAME`` takes the pairs with NAME in their names.
 """
 
 import argparse
@@ -23,6 +26,8 @@ from clmorph.analysis.metrics import crossfade_share, film_measures, ghost
 from clmorph.frames import layers, pictures
 from clmorph.images.pixels import resized
 
+#: A pair of pictures of unlike shapes.
+UNLIKE = "standing, coffee"
 TIMES = (0.25, 0.5, 0.75)
 SIDE, RED, ORANGE = 256, np.array([214, 39, 40]), np.array([255, 127, 14])
 #: Center, radius and color of discs at time t.
@@ -89,9 +94,13 @@ def main() -> None:
         ghosts, shares = zip(*(judged(way(ends), ends) for way in (film, cut, wiped)), strict=True)
         print(line(pair, *(f"{value:.2f}" for value in ghosts + shares)), flush=True)
     print()
-    print_head("disc", "sharp", "uneven", "flicker")
-    for name, place in DISCS.items():
-        found = film_measures([disc(*place(t)) for t in np.linspace(0, 1, FLICKER_FRAMES)])
+    print_head("film", "sharp", "uneven", "flicker")
+    times = np.linspace(0, 1, FLICKER_FRAMES)
+    made = {f"disc {name}": [disc(*at(t)) for t in times] for name, at in DISCS.items()}
+    square = [resized(end, (SIDE, SIDE)) for end in FILM_PAIRS[UNLIKE]()]
+    made[f"{UNLIKE}, made square"] = list(clmorph.morph(*square, n_frames=FLICKER_FRAMES, **PLAIN))
+    for name, frames in made.items():
+        found = film_measures(frames)
         sharp = " ".join(f"{value:.2f}" for value in found.relative_sharpness)
         print(line(name, sharp, f"{found.unevenness:.2f}", f"{found.flicker:.2f}"))
 
