@@ -45,6 +45,9 @@ NEAR = 2.0
 #: Width, as a share of the longer side, over which figures are continued beyond the borders of
 #: their pictures, so that distances from outlines go on there.
 MARGIN = 1 / 8
+#: Distance from an outline, likewise, that counts as far: the mean of two distances is then inside
+#: where most of the mass is, and not where one figure is broadest.
+FAR = 1 / 16
 #: Pixels along the longer side of a picture by which distances are continued there.
 MARGIN_PIXELS = 1024
 #: Points of the stage over which a layer stops being seen beyond its own figure.
@@ -96,7 +99,9 @@ class Channels:
         for number, channel in enumerate(channels):
             plane = reduced(channel, small.shape)[..., 0]
             if number == 3 and self._signed:
-                wider = _continued(plane, small)
+                # Distances count no further, so that holes open as soon as particles leave them.
+                far = np.float32(FAR * max(small.shape) / max(*small.scale, 1e-9))
+                wider = far * np.tanh(_continued(plane, small) / far)
             else:
                 wider = np.pad(plane, margin, mode="edge")
             spline[..., number] = spline_filter(wider, order=3, mode="mirror", output=np.float32)

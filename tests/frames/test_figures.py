@@ -89,6 +89,14 @@ class TestLogos:
         assert morph.frame(0.5)[..., 3].max() < 0.51
 
     @pytest.mark.full
+    def test_a_hole_opens_halfway(self, device):
+        """It does so when half of the mass has left, however broad the first figure is there."""
+        solid, ring = disc((64, 64), 44, (0.8, 0.1, 0.1)), disc((64, 64), 52, (0.9, 0.5, 0.1))
+        ring[disc((64, 64), 16, (0, 0, 0))[..., 0] < 0.5] = 1
+        morph = clmorph.morph(solid, ring, preset="logo", backend=device, **SMALL)
+        holes = [(morph.frame(t)[44:84, 44:84, 2] > 0.9).mean() for t in (0.2, 0.52, 0.6, 0.8, 1.0)]
+        assert holes[0] == 0 < holes[1] < holes[2] < holes[3] < holes[4]
+
     def test_small_figures_stay_themselves(self, device):
         image = disc((64, 64), 15.0, (0.8, 0.2, 0.2))
         frame = clmorph.morph(image, image, backend=device, **SMALL).frame(0.5)
