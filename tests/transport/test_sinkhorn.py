@@ -13,7 +13,6 @@ from clmorph import ConvergenceWarning, InputError
 from clmorph.measures.measure import Measure
 from clmorph.transport._solver.coarse_grid import CorrectedProblem
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.steps import take_step
 
 
 def measure(points, weights):
@@ -150,18 +149,25 @@ def test_masses_after_half_steps_have_closed_forms(rng, rho, corrected):
         problem.correct(epsilon * rng.normal(size=20), epsilon * rng.normal(size=25), epsilon)
     g = 0.1 * rng.random(25)
     softmin = problem.softmin(0, g, epsilon, True)
-    general, closed = (take_step(problem, 0, g, softmin, epsilon, enough) for enough in (0.0, 1e-6))
-    assert closed.mass == pytest.approx(general.mass, rel=1e-12)
-    assert closed.dual == pytest.approx(general.dual, abs=1e-11 * epsilon * general.mass)
-    assert np.array_equal(closed.f, general.f)
-    softmin = problem.softmin(1, closed.f, epsilon, True)
-    general, closed = (
-        take_step(problem, 1, before.f, softmin, epsilon, enough, before.log_mass)
-        for before, enough in ((general, 0.0), (closed, 1e-6))
+    rows = problem.half_step(0, g, softmin, epsilon)
+    general = problem.marginal(0, rows.new, rows.softmin, epsilon).sum()
+    assert rows.mass == pytest.approx(general, rel=1e-12)
+    summed, closed = (
+        problem.dual(rows.new, rows.old, rows.mass, epsilon, enough) for enough in (0.0, 1e-6)
     )
-    assert closed.dual == pytest.approx(general.dual, abs=1e-11 * epsilon * general.marginal.sum())
-    assert np.allclose(closed.g, general.g, rtol=0, atol=1e-13)
-    assert np.allclose(closed.f, general.f, rtol=0, atol=1e-13)
+    assert closed == pytest.approx(summed, abs=1e-11 * epsilon * general)
+    softmin = problem.softmin(1, rows.new, epsilon, True)
+    own, after = (
+        problem.half_step(1, rows.new, softmin, epsilon, before) for before in (None, rows.log_mass)
+    )
+    general = problem.marginal(1, own.new, own.softmin, epsilon).sum()
+    assert after.mass == pytest.approx(general, rel=1e-12)
+    summed, closed = (
+        problem.dual(after.old, after.new, after.mass, epsilon, enough) for enough in (0.0, 1e-6)
+    )
+    assert closed == pytest.approx(summed, abs=1e-11 * epsilon * general)
+    assert np.allclose(after.new, own.new, rtol=0, atol=1e-13)
+    assert np.allclose(after.old, own.old, rtol=0, atol=1e-13)
 
 
 def test_a_closed_form_with_too_few_digits_is_not_used(rng):
@@ -169,10 +175,10 @@ def test_a_closed_form_with_too_few_digits_is_not_used(rng):
     epsilon, rho = 0.05, 1e9
     problem = Problem.between(clmorph.get_backend("numpy"), source, target, (rho, rho))
     g = 0.1 * rng.random(25)
-    step = take_step(problem, 0, g, problem.softmin(0, g, epsilon, True), epsilon, 1e-7)
-    exact = problem.dual(step.f, step.g, step.mass, epsilon)
-    assert step.dual == exact
-    assert problem.dual(step.f, step.g, step.mass, epsilon, 1.0) != exact
+    step = problem.half_step(0, g, problem.softmin(0, g, epsilon, True), epsilon)
+    exact = problem.dual(step.new, step.old, step.mass, epsilon)
+    assert problem.dual(step.new, step.old, step.mass, epsilon, 1e-7) == exact
+    assert problem.dual(step.new, step.old, step.mass, epsilon, 1.0) != exact
 
 
 def test_half_steps_are_finite_where_masses_underflow(rng):
@@ -182,13 +188,15 @@ def test_half_steps_are_finite_where_masses_underflow(rng):
     epsilon, rho = 0.3, 0.5
     problem = Problem.between(clmorph.get_backend("numpy"), source, target, (rho, rho))
     g = np.zeros(25)
+    rows = problem.half_step(0, g, problem.softmin(0, g, epsilon, True), epsilon)
+    softmin = problem.softmin(1, rows.new, epsilon, True)
+    columns = problem.half_step(1, rows.new, softmin, epsilon, rows.log_mass)
+    assert rows.mass == 0
     for enough in (0.0, 1e-6):
-        rows = take_step(problem, 0, g, problem.softmin(0, g, epsilon, True), epsilon, enough)
-        softmin = problem.softmin(1, rows.f, epsilon, True)
-        columns = take_step(problem, 1, rows.f, softmin, epsilon, enough, rows.log_mass)
-        assert rows.mass == 0
-        for found in (rows.f, rows.g, columns.f, columns.g, rows.dual, columns.dual):
-            assert np.all(np.isfinite(found))
+        for found in (rows, columns):
+            f, g = (found.new, found.old) if found is rows else (found.old, found.new)
+            assert np.all(np.isfinite([*f, *g]))
+            assert np.isfinite(problem.dual(f, g, found.mass, epsilon, enough))
 
 
 def test_residual_looks_at_both_sides_and_at_mass_only(rng):

@@ -49,6 +49,11 @@ class HalfStep(NamedTuple):
     softmin: Any  #: T(old)
     log_mass: Any  #: logarithm of the mass of their plan
 
+    @property
+    def mass(self) -> Any:
+        """The mass of their plan."""
+        return np.exp(np.minimum(self.log_mass, MAX_EXPONENT))
+
 
 class Problem:
     """Unbalanced entropic transport between two measures, at any epsilon.

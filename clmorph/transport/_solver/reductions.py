@@ -1,4 +1,4 @@
-"""Sums and maxima over the points of one problem (`Whole`), or of each of many (`Segments`)."""
+"""Sums and maxima over the points of one problem, or of each of many (`Segments`)."""
 
 import functools
 from collections.abc import Callable
@@ -12,44 +12,59 @@ from clmorph._shared.typing import AnyArray, Array, BoolArray, IntArray
 ONLY, NONE = np.zeros(1, int), np.zeros(0, int)
 
 
-class Whole:
+class Reductions:
     """Reductions over the vectors of one problem."""
 
     #: Shape of the reductions' results.
     shape: tuple[int, ...] = ()
 
-    def sum(self, x: Array) -> float:
+    def sum(self, x: Array) -> Any:
         """Return the sum of a vector."""
-        return float(x.sum())
+        return self._each_of(lambda part: part.sum(axis=-1), x)
 
-    def inner(self, x: Array, y: Array) -> float:
+    def inner(self, x: Array, y: Array) -> Any:
         """Return the inner product of two vectors, in this thread.
 
         A BLAS that uses several threads lets them spin for a while afterwards, on the cores that
         the next kernel of a CPU device needs; this made solves a quarter slower.
         """
-        return float(np.einsum("i,i", x, y))
+        return self._each_of(functools.partial(np.einsum, "...n,...n->..."), x, y)
 
-    def largest(self, x: Array) -> float:
+    def inner_each(self, many: Array, x: Array) -> Array:
+        """Return the inner products of (k, n) vectors with one vector: (k,) array."""
+        return np.asarray(self._each_of(functools.partial(np.einsum, "k...n,...n->...k"), many, x))
+
+    def scaled(self, factor: Any, x: Array) -> Array:
+        """Return a vector multiplied by a number of each problem."""
+        return np.asarray(self.spread(factor) * x)
+
+    def _each_of(self, reduce: Callable[..., Any], *vectors: Array) -> Any:
+        """Return what a function of parts (..., n) gives for each problem."""
+        return reduce(*vectors)
+
+    def largest(self, x: Array) -> Any:
         """Return the largest entry of a vector."""
         return float(x.max())
 
     # What a loop does with the numbers of one problem takes a tenth of the time without NumPy: one
     # number for each problem, the larger and the smaller one of two, the largest of all problems,
     # a number for each point, and whether something is true of any problem.
-    larger, smaller, any = staticmethod(max), staticmethod(min), staticmethod(bool)
+    larger: Any = staticmethod(max)
+    smaller: Any = staticmethod(min)
+    any: Any = staticmethod(bool)
 
     def filled(self, value: Any) -> Any:
         """Return the only number of its kind."""
         return value
 
-    largest_of = spread = filled
+    largest_of: Any = filled
+    spread: Any = filled
 
-    def numbers(self, which: Any) -> IntArray:
+    def numbers(self, which: Any) -> Any:
         """Return the numbers of the problems of which this is true."""
         return ONLY if which else NONE
 
-    def without(self, which: Any, others: Any) -> bool:
+    def without(self, which: Any, others: Any) -> Any:
         """Return whether the first is true of a problem, and the second is not."""
         return bool(which and not others)
 
@@ -57,23 +72,15 @@ class Whole:
         """Return a number where this is true of a problem, and another one elsewhere."""
         return one if which else other
 
-    def scaled(self, factor: Any, x: Array) -> Array:
-        """Return a vector multiplied by a number of each problem."""
-        return factor * x
-
-    def inner_each(self, many: Array, x: Array) -> Array:
-        """Return the inner products of (k, n) vectors with one vector: (k,) array."""
-        return np.asarray(np.einsum("kn,n->k", many, x))
-
     def combined(self, factors: Array, many: Array) -> Array:
         """Return the sum of (k, n) vectors, each multiplied by one of the (k,) factors."""
         return np.asarray(np.einsum("k,kn->n", factors, many))
 
-    def points_of(self, problems: IntArray) -> slice:
+    def points_of(self, problems: IntArray) -> Any:
         """Return the indices of all points, or of none if no problem is given."""
         return slice(None if len(problems) else 0)
 
-    def some(self, problems: IntArray) -> "Whole":
+    def some(self, problems: IntArray) -> "Reductions":
         """Return the reductions of the problem."""
         return self
 
@@ -82,8 +89,8 @@ class Whole:
         return x
 
 
-class Segments:
-    """Those of `Whole` over vectors of many problems, one after the other: (B,), (B, k) arrays."""
+class Segments(Reductions):
+    """Those over vectors of many problems, one after the other: (B,) and (B, k) arrays."""
 
     def __init__(self, counts: IntArray) -> None:
         self.counts = counts
@@ -99,27 +106,20 @@ class Segments:
     def without(self, which: BoolArray, others: BoolArray) -> BoolArray:
         return which & ~others
 
-    any, choose = staticmethod(np.any), staticmethod(np.where)
-    numbers, largest_of = staticmethod(np.flatnonzero), staticmethod(np.max)
+    def choose(self, which: Any, one: Any, other: Any) -> AnyArray:
+        return np.where(which, one, other)
+
+    def numbers(self, which: Any) -> IntArray:
+        return np.flatnonzero(which)
+
+    any, largest_of = staticmethod(np.any), staticmethod(np.max)
     larger, smaller = staticmethod(np.maximum), staticmethod(np.minimum)
-
-    def sum(self, x: Array) -> Array:
-        return self._each_of(lambda part: part.sum(axis=-1), x)
-
-    def inner(self, x: Array, y: Array) -> Array:
-        return self._each_of(functools.partial(np.einsum, "...n,...n->..."), x, y)
-
-    def inner_each(self, many: Array, x: Array) -> Array:
-        return self._each_of(functools.partial(np.einsum, "k...n,...n->...k"), many, x)
 
     def largest(self, x: Array) -> Array:
         return np.asarray(np.maximum.reduceat(x, self.starts))
 
     def spread(self, value: Any) -> Any:
         return value if np.ndim(value) == 0 else np.repeat(value, self.counts)
-
-    def scaled(self, factor: Any, x: Array) -> Array:
-        return np.asarray(self.spread(factor) * x)
 
     def combined(self, factors: Array, many: Array) -> Array:
         if self._each:
@@ -138,14 +138,13 @@ class Segments:
         return Segments(self.counts[problems])
 
     def _each_of(self, reduce: Callable[..., Any], *vectors: Array) -> Array:
-        """Return what a function of parts (..., n) gives for each problem; at once for one n."""
         if self._each:
             shaped = (x.reshape(*x.shape[:-1], -1, self._each) for x in vectors)
             return np.asarray(reduce(*shaped))
         return np.array([reduce(*parts) for parts in zip(*map(self._parts, vectors), strict=True)])
 
     def _parts(self, x: AnyArray) -> list[AnyArray]:
-        """Return copies of the parts (..., n), whose sums then have the bits of `Whole`."""
+        """Return copies of the parts (..., n), whose sums then have the bits of one problem."""
         ends = np.cumsum(self.counts).tolist()
         return [x[..., a:b].copy() for a, b in zip([0, *ends], ends, strict=False)]
 
@@ -154,9 +153,8 @@ class Segments:
         return x[start : start + self.counts[problem]]
 
 
-Reductions = Whole | Segments
 #: The reductions of one problem.
-WHOLE = Whole()
+WHOLE = Reductions()
 
 
 def log_sum_exp(of: Reductions, values: Array) -> Any:

@@ -4,12 +4,12 @@ The device computes an iteration ahead of the host's decisions, so that both mee
 host then takes back an extrapolation, one softmin was in vain.
 """
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
-from clmorph.backends.interface import MAX_EXPONENT, MEMORY
+from clmorph.backends.interface import MEMORY
 from clmorph.backends.records import (
     IMAGE,
     PARITY,
@@ -59,33 +59,6 @@ class Steps(Protocol):
         """Go on with some of many problems, and return them."""
 
 
-class Step(NamedTuple):
-    """Potentials after a half-step, with the softmin of the old one, at its shift."""
-
-    f: Array
-    g: Array
-    softmin: Array
-    marginal: Any  #: of their plan; None where f is new and no sum needs it
-    mass: Any  #: of their plan
-    dual: Any
-    log_mass: Any
-
-
-def take_step(
-    problem: Problem, side: int, old: Array, softmin: Array, epsilon: float, enough: Any = 0.0,
-    before: Any = None,
-) -> Step:  # fmt: skip
-    """Maximize the dual over f (0) or g (1), and a shift of `old`; see `half_step` and `dual`."""
-    new, old, softmin, log_mass = problem.half_step(side, old, softmin, epsilon, before)
-    f, g = (new, old) if side == 0 else (old, new)
-    closed = np.any(enough)
-    marginal: Any = None if closed and side == 0 else problem.marginal(side, new, softmin, epsilon)
-    mass: Any = np.exp(np.minimum(log_mass, MAX_EXPONENT))
-    if not closed:
-        mass = problem.reductions[side].sum(marginal)
-    return Step(f, g, softmin, marginal, mass, problem.dual(f, g, mass, epsilon, enough), log_mass)
-
-
 class HostSteps:
     """Steps whose arithmetic NumPy does, as ``half_steps.cl`` and ``sparse_half_steps.cl`` do."""
 
@@ -103,8 +76,8 @@ class HostSteps:
     def update_rows(self) -> tuple[Any, Any]:
         problem, epsilon, self._back = self._problem, self._epsilon, np.False_
         softmin = problem.softmin(0, self._g, epsilon, self._precise)
-        self._rows = take_step(problem, 0, self._g, softmin, epsilon, self._enough)
-        return self._rows.mass, self._rows.dual
+        own = self._rows = problem.half_step(0, self._g, softmin, epsilon)
+        return own.mass, problem.dual(own.new, own.old, own.mass, epsilon, self._enough)
 
     def take_back(self, which: Any = np.True_) -> None:
         self._g, self._back = self._chosen(which, self._fallback, self._g), which
@@ -112,26 +85,26 @@ class HostSteps:
 
     def update_columns(self) -> tuple[Any, Any, Any]:
         problem, rows, epsilon = self._problem, self._rows, self._epsilon
-        softmin = problem.softmin(1, rows.f, epsilon, self._precise)
-        own = self._columns = take_step(
-            problem, 1, rows.f, softmin, epsilon, self._enough, rows.log_mass
-        )
-        residual = problem.residual(rows.f, rows.g, rows.softmin, softmin, epsilon)
-        return residual, own.dual, problem.farthest(own.f)
+        softmin = problem.softmin(1, rows.new, epsilon, self._precise)
+        own = self._columns = problem.half_step(1, rows.new, softmin, epsilon, rows.log_mass)
+        residual = problem.residual(rows.new, rows.old, rows.softmin, softmin, epsilon)
+        dual = problem.dual(own.old, own.new, own.mass, epsilon, self._enough)
+        return residual, dual, problem.farthest(own.old)
 
     def go_on(self, extrapolate: Any) -> Any:
-        image, extrapolated = self._columns.g, np.logical_and(extrapolate, False)
+        problem, own = self._problem, self._columns
+        image, extrapolated = own.new, np.logical_and(extrapolate, False)
         following = image
         if np.any(extrapolate):
-            mass = self._columns.marginal
+            mass = problem.marginal(1, image, own.softmin, self._epsilon)
             following, extrapolated = self._memory.extrapolate(self._g, image, mass, extrapolate)
             if extrapolated.any():
-                following = without_drift(self._problem, following, image, mass)
+                following = without_drift(problem, following, image, mass)
         self._g, self._fallback = self._chosen(self._back, self._g, following), image
-        return extrapolated if self._problem.of_rows.shape else bool(extrapolated)
+        return extrapolated if problem.of_rows.shape else bool(extrapolated)
 
     def potentials(self) -> tuple[Array, Array, Array]:
-        return self._columns.f, self._columns.g, self._columns.softmin
+        return self._columns.old, self._columns.new, self._columns.softmin
 
     def keep(self, problems: IntArray) -> Problem:
         of, self._problem = self._problem.of_columns, some(self._problem, problems)
