@@ -26,21 +26,25 @@
 #define CONCAT_(a, b) a##b
 #define CONCAT(a, b) CONCAT_(a, b)
 
+// A type or a function of so many lanes: its name ends with their number, but for one lane.
+#define OF_LANES(name, lanes) CONCAT(OF_LANES_, lanes)(name)
+#define OF_LANES_1(name) name
+#define OF_LANES_2(name) name##2
+#define OF_LANES_4(name) name##4
+#define OF_LANES_8(name) name##8
+#define OF_LANES_16(name) name##16
+
+typedef OF_LANES(float, WIDTH) vreal;
+typedef OF_LANES(int, WIDTH) vint;
+#define AS_VUINT(v) OF_LANES(as_uint, WIDTH)(v)
+#define AS_VREAL(v) OF_LANES(as_float, WIDTH)(v)
 #if WIDTH == 1
-typedef float vreal;
-typedef int vint;
 #define VLOAD(offset, p) ((p)[offset])
 #define VSTORE(v, offset, p) ((p)[offset] = (v))
-#define AS_VUINT(v) as_uint(v)
-#define AS_VREAL(v) as_float(v)
 #define ANY(v) (v)
 #else
-typedef CONCAT(float, WIDTH) vreal;
-typedef CONCAT(int, WIDTH) vint;
 #define VLOAD(offset, p) CONCAT(vload, WIDTH)(0, (p) + (offset))
 #define VSTORE(v, offset, p) CONCAT(vstore, WIDTH)((v), 0, (p) + (offset))
-#define AS_VUINT(v) CONCAT(as_uint, WIDTH)(v)
-#define AS_VREAL(v) CONCAT(as_float, WIDTH)(v)
 #define ANY(v) any(v)
 #endif
 

@@ -23,15 +23,9 @@
 #if PRECISE == 2
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 typedef double staged_real;
-#if WIDTH == 1
-typedef double ereal;
-#define TO_EREAL(v) ((double)(v))
-#define TO_VREAL(v) ((float)(v))
-#else
-typedef CONCAT(double, WIDTH) ereal;
-#define TO_EREAL(v) CONCAT(convert_double, WIDTH)(v)
-#define TO_VREAL(v) CONCAT(convert_float, WIDTH)(v)
-#endif
+typedef OF_LANES(double, WIDTH) ereal;
+#define TO_EREAL(v) OF_LANES(convert_double, WIDTH)(v)
+#define TO_VREAL(v) OF_LANES(convert_float, WIDTH)(v)
 #elif PRECISE == 1
 typedef float staged_real;
 #if WIDTH == 1

@@ -34,12 +34,11 @@
 #if PRECISE
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 typedef double real;
+typedef OF_LANES(double, LANES) reals;
 #if LANES == 1
-typedef double reals;
 #define LOAD(offset, p) ((p)[offset])
 #define SOME(v) (v)
 #else
-typedef CONCAT(double, LANES) reals;
 #define LOAD(offset, p) CONCAT(vload, LANES)(0, (p) + (offset))
 #define SOME(v) any(v)
 #endif

@@ -23,15 +23,14 @@ void count_plan_rows(
     __global int* restrict counts)                    // (n_rows,) of this launch
 {
     ROW_SETUP;
-    const vreal offset = VLOAD(row, row_offsets);
-    const vreal offset_low = VLOAD((size_t)row_stride + row, row_offsets);
+    OFFSET_SETUP;
     const vreal row_threshold = VLOAD(row, row_thresholds);
     vint count = tiles_before ? VLOAD(local_row, counts) : (vint)(0);
     for (uint n = first_tile; n < end_tile; ++n) {
         const uint q = STAGE_TILE(n);
         for (uint j = 0; j < TILE; ++j)
             count += select((vint)(0), (vint)(1),
-                            KEEP(with_offset(exponent(u, staged, j), offset, offset_low)));
+                            KEEP(WITH_OFFSET(exponent(u, staged, j))));
     }
     VSTORE(count, local_row, counts);
 }
@@ -49,8 +48,7 @@ void fill_plan_rows(
     __global float* restrict log2_masses)             // (slots of this launch,)
 {
     ROW_SETUP;
-    const vreal offset = VLOAD(row, row_offsets);
-    const vreal offset_low = VLOAD((size_t)row_stride + row, row_offsets);
+    OFFSET_SETUP;
     const vreal row_threshold = VLOAD(row, row_thresholds);
     uint slot[WIDTH];
     for (int lane = 0; lane < WIDTH; ++lane)
@@ -58,7 +56,7 @@ void fill_plan_rows(
     for (uint n = first_tile; n < end_tile; ++n) {
         const uint q = STAGE_TILE(n);
         for (uint j = 0; j < TILE; ++j) {
-            const vreal log2_pi = with_offset(exponent(u, staged, j), offset, offset_low);
+            const vreal log2_pi = WITH_OFFSET(exponent(u, staged, j));
             const vint keep = KEEP(log2_pi);
             if (ANY(keep)) {
                 float log2_pi_lane[WIDTH];

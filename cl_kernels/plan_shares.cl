@@ -22,8 +22,7 @@ void plan_moments(
     __global float* restrict moments)           // (MOMENTS, n_rows) of this launch
 {
     ROW_SETUP;
-    const vreal offset = VLOAD(row, row_offsets);
-    const vreal offset_low = VLOAD((size_t)row_stride + row, row_offsets);
+    OFFSET_SETUP;
 #ifdef SLICE
     // Moments stand in global memory, and columns are staged again, slice by slice, to be added to them.
     if (!tiles_before)
@@ -39,7 +38,7 @@ void plan_moments(
         vreal of_tile = (vreal)(0.0f);
         FOR_COLUMNS(OWN_MASK(n, 0), j)
         {
-            w[j] = exp2_nonpositive(with_offset(u[j], offset, offset_low));
+            w[j] = exp2_nonpositive(WITH_OFFSET(u[j]));
             of_tile += w[j];
         }
         VSTORE(VLOAD(MOMENT_AT(0), moments) + of_tile, MOMENT_AT(0), moments);
@@ -81,7 +80,7 @@ void plan_moments(
         FOR_COLUMNS(OWN_MASK(n, 0), j)
         {
             const vreal w =
-                exp2_nonpositive(with_offset(exponent(u, staged, j), offset, offset_low));
+                exp2_nonpositive(WITH_OFFSET(exponent(u, staged, j)));
             of_tile[0] += w;
             int m = 1;
 #pragma unroll
@@ -115,8 +114,7 @@ void sample_plan_rows(
     __global float* restrict sums)              // (n_rows,) of w_j so far
 {
     ROW_SETUP;
-    const vreal offset = VLOAD(row, row_offsets);
-    const vreal offset_low = VLOAD((size_t)row_stride + row, row_offsets);
+    OFFSET_SETUP;
     float next[WIDTH];
     uint drawn[WIDTH];
     for (int lane = 0; lane < WIDTH; ++lane) {
@@ -134,7 +132,7 @@ void sample_plan_rows(
         vreal of_tile = (vreal)(0.0f);
         FOR_COLUMNS(OWN_MASK(n, 0), j)
         {
-            of_tile += exp2_nonpositive(with_offset(exponent(u, staged, j), offset, offset_low));
+            of_tile += exp2_nonpositive(WITH_OFFSET(exponent(u, staged, j)));
             const vreal sum = before + of_tile;
             if (ANY(sum > limit)) {
                 float sum_lane[WIDTH];

@@ -15,12 +15,11 @@
 #if !defined(LANES) || !defined(FLOAT64)
 #error "LANES and FLOAT64 must be given, see above"
 #endif
+typedef OF_LANES(float, LANES) vsingle;
 #if LANES == 1
-typedef float vsingle;
 #define DLOAD(i, p) ((p)[i])
 #define DSTORE(v, i, p) ((p)[i] = (v))
 #else
-typedef CONCAT(float, LANES) vsingle;
 #define DLOAD(i, p) CONCAT(vload, LANES)(0, (p) + (i))
 #define DSTORE(v, i, p) CONCAT(vstore, LANES)((v), 0, (p) + (i))
 #endif
@@ -28,15 +27,9 @@ typedef CONCAT(float, LANES) vsingle;
 #if FLOAT64
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 typedef double real;
-#if LANES == 1
-typedef double reals;
-#define TO_REALS(v) ((double)(v))
-#define TO_VSINGLE(v) ((float)(v))
-#else
-typedef CONCAT(double, LANES) reals;
-#define TO_REALS(v) CONCAT(convert_double, LANES)(v)
-#define TO_VSINGLE(v) CONCAT(convert_float, LANES)(v)
-#endif
+typedef OF_LANES(double, LANES) reals;
+#define TO_REALS(v) OF_LANES(convert_double, LANES)(v)
+#define TO_VSINGLE(v) OF_LANES(convert_float, LANES)(v)
 #define REAL(x) ((double)(x))
 #define REALS(x) ((reals)((double)(x)))
 #define SPREAD(x) ((reals)(x))

@@ -148,9 +148,6 @@
 
 INLINE float largest_lane(const vreal v)
 {
-#if WIDTH == 1
-    return v;
-#else
     float lanes[WIDTH];
     VSTORE(v, 0, lanes);
     float largest = lanes[0];
@@ -158,7 +155,6 @@ INLINE float largest_lane(const vreal v)
     for (int l = 1; l < WIDTH; ++l)
         largest = fmax(largest, lanes[l]);
     return largest;
-#endif
 }
 #else
 #define TOPS_ARGUMENT
@@ -520,8 +516,8 @@ INLINE void stage_empty_column(__local staged_real* staged)
 #endif
 
 // e_ij + offset_i, such as log2 of a mass pi_ij of the plan: a small number where it matters, unlike both
-// its terms. The offset comes as two float32: the nearest, and what that rounds off.
-INLINE vreal with_offset(const ereal e, const vreal offset, const vreal offset_low)
-{
-    return e_above(e, -offset) + offset_low;
-}
+// its terms. Offsets, (2, row_stride), come as two float32: the nearest, and what that rounds off.
+#define OFFSET_SETUP                                                                           \
+    const vreal offset = VLOAD(row, row_offsets);                                              \
+    const vreal offset_low = VLOAD((size_t)row_stride + row, row_offsets)
+#define WITH_OFFSET(e) (e_above(e, -offset) + offset_low)

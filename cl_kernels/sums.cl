@@ -60,13 +60,8 @@ typedef ereal sreal;
 #define SUM_PLANES 2
 
 #if PRECISE == 2
-#if WIDTH == 1
-#define AS_ULONGS(v) as_ulong(v)
-#define AS_DOUBLES(v) as_double(v)
-#else
-#define AS_ULONGS(v) CONCAT(as_ulong, WIDTH)(v)
-#define AS_DOUBLES(v) CONCAT(as_double, WIDTH)(v)
-#endif
+#define AS_ULONGS(v) OF_LANES(as_ulong, WIDTH)(v)
+#define AS_DOUBLES(v) OF_LANES(as_double, WIDTH)(v)
 #endif
 
 // A whole number not under x, but for a rounding of x.
