@@ -9,6 +9,9 @@ The second table is of flat discs, drawn exactly: what a crisp figure that moves
 the measures that were made for photographs; and of a film between two pictures of unlike shapes
 that are made square before: without that, each frame is brought to one shape to measure it.
 
+The third table is of drawings before a flat ground, whose figures alone move: how far the low
+bands of the ink of films, and of wipes in place, are from the masses of the films' own plans.
+
 ``--only NAME`` takes the pairs with NAME in their names.
 """
 
@@ -20,12 +23,15 @@ from bench_films import FLICKER_FRAMES, FRAMES, PLAIN, over, wipe
 from benching import line, print_head
 from picture_pairs import FILM_PAIRS, Picture
 from PIL import Image, ImageDraw
+from scipy.ndimage import gaussian_filter
 
 import clmorph
 from clmorph.analysis.metrics import crossfade_share, film_measures, ghost
 from clmorph.frames import layers, pictures
 from clmorph.images.pixels import resized
 
+#: Pairs of drawings before a flat ground.
+DRAWN = ("star, ring", "face, house", "HELLO, WORLD", "A, S", "M, W", "drawn cat, dog")
 #: A pair of pictures of unlike shapes.
 UNLIKE = "standing, coffee"
 TIMES = (0.25, 0.5, 0.75)
@@ -69,6 +75,39 @@ def wiped(ends: tuple[Picture, Picture]) -> list[Picture]:
     return [frames[round(t * (FRAMES - 1))] for t in TIMES]
 
 
+def ink(frame: Picture) -> Picture:
+    """Return how much darker than white a frame is: (H, W)."""
+    return 1 - over(frame, 1.0).mean(axis=2)
+
+
+def from_masses(ends: tuple[Picture, Picture]) -> list[float]:
+    """Return how far the film and a wipe in place are from the plan's masses, in percent.
+
+    Root mean squares at the three times of what a Gaussian of a sixteenth of the longer side
+    leaves.
+    """
+    made = clmorph.morph(*ends, n_frames=FRAMES, **PLAIN)
+    moving = made.particles
+    first, last = (resized(over(end, 1.0), made.frame(0.5).shape[:2]) for end in ends)
+    height, width = first.shape[:2]
+    longer = max(height, width)
+    areas = ink(first).sum(), ink(last).sum()
+    wiped_by = wipe(first, last, FRAMES)
+    squares = []
+    for t in TIMES:
+        shares = (1 - t, t)
+        places = sum(s * moving.table[moving.links[:, n], :2] for n, s in enumerate(shares))
+        masses = moving.weights @ shares
+        y, x = ((places - 0.5) * (longer - 1) + (width / 2, height / 2)).T[::-1]
+        box = ((0, height), (0, width))
+        mass, *_ = np.histogram2d(y, x, (height, width), box, weights=masses)
+        mass *= np.dot(shares, areas) / mass.sum()
+        frames = made.frame(t), wiped_by[round(t * (FRAMES - 1))]
+        apart = [gaussian_filter(ink(frame) - mass, longer / 16) for frame in frames]
+        squares.append(np.mean(np.square(apart), axis=(1, 2)))
+    return [float(value) for value in 100 * np.sqrt(squares).mean(axis=0)]
+
+
 def disc(x: float, radius: float, color: np.ndarray) -> Picture:
     """Return an anti-aliased disc on white."""
     image = Image.new("RGB", (8 * SIDE, 8 * SIDE), "white")
@@ -82,6 +121,7 @@ def main() -> None:
     parser.add_argument("--only", default="", metavar="NAME")
     options = parser.parse_args()
     pairs = [pair for pair in FILM_PAIRS if options.only in pair]
+    drawn = [pair for pair in DRAWN if options.only in pair]
     if not pairs:
         parser.error(f"no pair has {options.only!r} in its name: {'; '.join(FILM_PAIRS)}")
     print_head("pair", "ghost: film", "no mixing", "wipe", "share: film", "no mixing", "wipe")
@@ -103,6 +143,11 @@ def main() -> None:
         found = film_measures(frames)
         sharp = " ".join(f"{value:.2f}" for value in found.relative_sharpness)
         print(line(name, sharp, f"{found.unevenness:.2f}", f"{found.flicker:.2f}"))
+    print()
+    print_head("drawing", "from its masses: film", "wipe")
+    for pair in drawn:
+        apart = from_masses(FILM_PAIRS[pair]())
+        print(line(pair, *(f"{value:.1f}" for value in apart)), flush=True)
 
 
 if __name__ == "__main__":
