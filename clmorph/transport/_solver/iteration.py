@@ -122,12 +122,8 @@ class Iteration:
     @functools.cached_property
     def histories(self) -> list[Array]:
         """The residuals of each problem after each of its iterations, once all have ended."""
-        numbers, values = (
-            np.concatenate([
-                np.atleast_1d(record[part])[np.atleast_1d(record[1])] for record in self._records
-            ])
-            for part in (0, 2)
-        )  # fmt: skip
+        numbers, live, values = (np.hstack(each) for each in zip(*self._records, strict=True))
+        numbers, values = numbers[live], values[live]
         order = np.argsort(numbers, kind="stable")
         ends = np.cumsum(np.bincount(numbers, minlength=len(self.n_softmin)))
         return np.split(values[order], ends[:-1])

@@ -221,14 +221,15 @@ class BatchIteration(DeviceIteration):
     def _in_order(self, side: Cloud, values: Float64) -> Float64:
         return unsort(side, values)
 
-    def _tell(self, bound: BoundKernels, control: Any, radius: Any) -> list[cl.Event]:
+    def _tell(self, control: Any, radius: Any, events: list[cl.Event]) -> dict[str, Any]:
         if not self.listed:
-            return super()._tell(bound, control, radius)
+            return super()._tell(control, radius, events)
         table, radii = self.table, self.steps.packed(np.asarray(radius, float))
         table[:, CONTROL] = control
         table[:, CONTROL + 1 : CONTROL + 3] = radii.view(np.uint32).reshape(-1, 2)
         buffer = self.arguments["problems"]
-        return [cl.enqueue_copy(self.loop.work.queue, buffer, table, is_blocking=False)]
+        events.append(cl.enqueue_copy(self.loop.work.queue, buffer, table, is_blocking=False))
+        return {}
 
     def _launches(self, prepare: bool) -> Iterator[Launch]:
         group, kernel = (self.loop.constants.step_group,), self._softmin_kernel()

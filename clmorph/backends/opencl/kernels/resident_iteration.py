@@ -32,13 +32,13 @@ class BoundKernels:
         budget: LaunchBudget | None = None,
     ) -> None:  # fmt: skip
         self.kernels, self.budget = kernels, budget
-        self._places: dict[str, list[tuple[cl.Kernel, int]]] = {}
+        self._places: dict[str, list[tuple[str, int]]] = {}
         for kernel, names in arguments.items():
             for number, name in enumerate(names):
-                self._places.setdefault(name, []).append((kernels[kernel], number))
+                self._places.setdefault(name, []).append((kernel, number))
         self._iteration: weakref.ref[DeviceIteration] | None = None
         self._epsilon, self._version = 0.0, 0
-        self._scalars: dict[str, bytes] = {}
+        self._scalars: dict[tuple[str, int], bytes] = {}
 
     def bind(self, iteration: "DeviceIteration") -> None:
         """Set what stays the same in an iteration, and the scalars that follow from its epsilon."""
@@ -54,19 +54,19 @@ class BoundKernels:
                 self.set(name, value)
             self._epsilon = iteration.epsilon
 
-    def set(self, name: str, value: Any) -> None:
-        """Set an argument of all kernels that take it; a scalar only where it has changed.
+    def set(self, name: str, value: Any, of: str = "") -> None:
+        """Set an argument of all kernels that take it, or of one; a scalar where it has changed.
 
         See `Workspace.launch`: Ctrl-C may come between any two of these steps.
         """
         scalar = value.tobytes() if isinstance(value, np.generic) else b""
-        if scalar and self._scalars.get(name) == scalar:
-            return
-        self._scalars.pop(name, None)
-        for kernel, number in self._places.get(name, ()):
-            kernel.set_arg(number, value)
-        if scalar:
-            self._scalars[name] = scalar
+        for place in self._places.get(name, ()):
+            if (of and place[0] != of) or (scalar and self._scalars.get(place) == scalar):
+                continue
+            self._scalars.pop(place, None)
+            self.kernels[place[0]].set_arg(place[1], value)
+            if scalar:
+                self._scalars[place] = scalar
 
 
 def as_pairs(values: Any) -> NDArray[np.float32]:
@@ -99,7 +99,8 @@ class ResidentSteps:
     variant: Variant  #: of the kernels between softmins
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
-        self.loop, self.take_turns = loop, take_turns
+        # What takes turns is made once for each function, not with each call.
+        self.loop, self.take_turns = loop, functools.cache(take_turns)
         self.in_pairs = not loop.constants.float64
         self.bound: dict[Any, BoundKernels] = {}
         self._is_possible: bool | None = None
@@ -209,11 +210,9 @@ class DeviceIteration(ABC):
             (found["ROW_FINITE"] == 0) & (found["COLUMN_FINITE"] == 0), found.get("MOVED", 0.0),
         )  # fmt: skip
 
-    def _tell(self, bound: BoundKernels, control: Any, radius: Any) -> list[cl.Event]:
-        """Tell kernels of the next iteration, and return what they have to wait for."""
-        bound.set("control", np.uint32(control))
-        bound.set("radius", self.steps.real(radius))
-        return []
+    def _tell(self, control: Any, radius: Any, events: list[cl.Event]) -> dict[str, Any]:
+        """Return arguments of the next iteration alone; add what its first kernel waits for."""
+        return {"control": np.uint32(control), "radius": self.steps.real(radius)}
 
     @in_turn
     def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
@@ -233,8 +232,11 @@ class DeviceIteration(ABC):
         self.prepared, events = -1, list[cl.Event]()
         launched, began = list[tuple[cl.Kernel, cl.Event]](), time.perf_counter()
         try:
-            events += self._tell(bound, control, radius)
+            told = self._tell(control, radius, events)
             for name, size, group in self._launches(prepare):
+                # To set a scalar takes 16 microseconds, in which the kernel before runs.
+                for argument, value in told.items():
+                    bound.set(argument, value, of=name)
                 kernel, before = bound.kernels[name], events[-1:]
                 events.append(
                     cl.enqueue_nd_range_kernel(queue, kernel, size, group, wait_for=before)
