@@ -124,8 +124,14 @@ class Softmin:
 
     def take_over(self, near: NearPairs, potential: Array, softmin: Array, epsilon: float) -> None:
         """Take over pairs that another softmin has summed at this potential, with their result."""
-        self._near = self.near = near
-        self._chosen_for, self.guess = (epsilon, potential), softmin
+        self._keep(near, potential, epsilon)
+        self.near, self.guess = near, softmin
+
+    def _keep(self, near: NearPairs, potential: Array, epsilon: float) -> None:
+        """Keep pairs, and what bounds those that they leave out."""
+        self._near, self._chosen_for = near, (epsilon, potential)
+        with np.errstate(divide="ignore"):
+            self._log_skipped = np.log(near.skipped)
 
     def settle(self, residual: float) -> None:
         """Choose pairs anew, once, if they are for far moves and the residual is small."""
@@ -148,7 +154,7 @@ class Softmin:
         self.guess = near.softmin
         if self.proven and float(near.skipped.max()) > share * self.truncation:
             return None
-        self._near, self._chosen_for = near, (epsilon, potential)
+        self._keep(near, potential, epsilon)
         return near
 
     def _over(
@@ -175,9 +181,7 @@ class Softmin:
         """Return a bound of the nats by which sums over the chosen pairs are too small now."""
         assert self._near is not None
         grown = float((potential - self._chosen_for[1])[self._massive].max())
-        with np.errstate(divide="ignore"):
-            logarithms = np.log(self._near.skipped)
-        logarithms += (grown + softmin - self._near.softmin) / epsilon
+        logarithms = self._log_skipped + (grown + softmin - self._near.softmin) / epsilon
         return float(np.exp(np.minimum(logarithms.max(), 700.0)))
 
     def rounding(
