@@ -24,8 +24,13 @@
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 typedef double staged_real;
 typedef OF_LANES(double, WIDTH) ereal;
-#define TO_EREAL(v) OF_LANES(convert_double, WIDTH)(v)
-#define TO_VREAL(v) OF_LANES(convert_float, WIDTH)(v)
+#if WIDTH == 1
+#define TO_EREAL(v) ((double)(v))
+#define TO_VREAL(v) ((float)(v))
+#else
+#define TO_EREAL(v) CONCAT(convert_double, WIDTH)(v)
+#define TO_VREAL(v) CONCAT(convert_float, WIDTH)(v)
+#endif
 #elif PRECISE == 1
 typedef float staged_real;
 #if WIDTH == 1

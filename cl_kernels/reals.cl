@@ -28,8 +28,13 @@ typedef OF_LANES(float, LANES) vsingle;
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 typedef double real;
 typedef OF_LANES(double, LANES) reals;
-#define TO_REALS(v) OF_LANES(convert_double, LANES)(v)
-#define TO_VSINGLE(v) OF_LANES(convert_float, LANES)(v)
+#if LANES == 1
+#define TO_REALS(v) ((double)(v))
+#define TO_VSINGLE(v) ((float)(v))
+#else
+#define TO_REALS(v) CONCAT(convert_double, LANES)(v)
+#define TO_VSINGLE(v) CONCAT(convert_float, LANES)(v)
+#endif
 #define REAL(x) ((double)(x))
 #define REALS(x) ((reals)((double)(x)))
 #define SPREAD(x) ((reals)(x))
