@@ -117,11 +117,12 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     rows = operations.upload(rng.random((n, 5)), weights)
     columns = operations.upload(rng.random((m, 5)), np.full(m, 1 / m))
     f, g = 0.1 * rng.random(n), 0.1 * rng.random(m)
+    both = ((rows, columns), f, g), ((columns, rows), g, f)
+    guesses = [operations.softmin(*clouds, potential, 0.01) for clouds, _, potential in both]
+    exact = [operations.softmin(*clouds, potential, 0.01, True) for clouds, _, potential in both]
     results = [
-        operations.softmin(rows, columns, g, 0.01),
-        operations.softmin(columns, rows, f, 0.01),
-        operations.softmin(rows, columns, g, 0.01, True),
-        operations.softmin(columns, rows, f, 0.01, True),
+        *guesses,
+        *exact,
         operations.row_maxima(rows, columns, g, 0.01),
         operations.bounded_softmin(rows, columns, g, 0.01)[0],
         operations.bounded_softmin(columns, rows, f, 0.01)[0],
@@ -146,8 +147,7 @@ def exercise(operations: Operations) -> list[np.ndarray]:
             operations.bounded_softmin_batch(*own, potential, 0.01)[0],
         ]
     results += iterated_together(operations)
-    for clouds, own, potential in (((rows, columns), f, g), ((columns, rows), g, f)):
-        guess = operations.softmin(*clouds, potential, 0.01)
+    for (clouds, own, potential), guess in zip(both, guesses, strict=True):
         near = operations.near_pairs(*clouds, potential, guess, 0.01, 1e-7)
         results.append(np.array([float(near.skipped.max() <= 2e-7)]))
         for precise in (False, True):
@@ -162,20 +162,19 @@ def exercise(operations: Operations) -> list[np.ndarray]:
             *clouds, potential, guess, 0.01, thresholds, False, near
         )
         results.append(np.array([float(draws.min() >= 0 and draws.max() < len(potential))]))
-    for precise in (False, True):
+    for precise, (softmin, _) in ((False, guesses), (True, exact)):
         kept = operations.plan_rows(
             rows, columns, f, g, 0.01, np.full(n, -9.0), np.full(m, np.inf), precise
         )
         results.append(kept.mass)
-        softmin = operations.softmin(rows, columns, g, 0.01, precise)
         results += operations.barycentric_projection(rows, columns, g, 0.01, precise)
         results += operations.plan_moments(rows, columns, g, softmin, 0.01, precise)
     for thresholds, near in (((-9.0, np.inf), None), ((-12.0, -14.0), 1e-9)):
         lists: list[Any] = [None, None]
         if near is not None:
             lists = [
-                operations.near_pairs(*clouds, x, operations.softmin(*clouds, x, 0.01), 0.01, near)
-                for clouds, x in (((rows, columns), g), ((columns, rows), f))
+                operations.near_pairs(*clouds, potential, guess, 0.01, near)
+                for (clouds, _, potential), guess in zip(both, guesses, strict=True)
             ]
         limits = [np.full(size, x) for size, x in zip((n, m), thresholds, strict=True)]
         stored = operations.store_pairs(rows, columns, f, g, 0.01, *limits, n * m, tuple(lists))
