@@ -101,7 +101,8 @@ class Channels:
             if number == 3 and self._signed:
                 # Distances count no further, so that holes open as soon as particles leave them.
                 far = np.float32(FAR * max(small.shape) / max(*small.scale, 1e-9))
-                wider = far * np.tanh(_continued(plane, small) / far)
+                wider = _continued(plane, small) / far
+                np.multiply(np.tanh(wider, out=wider), far, out=wider)
             else:
                 wider = np.pad(plane, margin, mode="edge")
             spline[..., number] = spline_filter(wider, order=3, mode="mirror", output=np.float32)
