@@ -28,8 +28,9 @@ SMOOTH, NARROWEST = 0.006, 1.2
 #: Outlines of layers that are so many points of the stage apart are smoothed more: by a Gaussian so
 #: many times as wide, whose width falls to none at the ends of a film, at this rate.
 ROUGH, ROUGH_WIDTH, FADING = 6.0, 3.0, 3.0
-#: By how much the mean of two distances, halfway, may be made steeper.
-STEEPER = 1.5
+#: By how much the mean of two distances, halfway, may be made steeper; the least slope, which
+#: distances far from all outlines do not have.
+STEEPER, FLATTEST = 1.5, 0.25
 #: Pixels across the width of a Gaussian on the canvas on which what it smooths is computed.
 ACROSS = 3.0
 #: Half of the width up to which a line is thin, as a share of the longer side: one of two thin
@@ -134,7 +135,7 @@ def outline_of(
         distance = distance + share * (wide - distance)
     unit, grain = max(*canvas.scale, 1e-9), longest / max(fine.shape)
     # Where both layers differ, the mean has slopes unlike 1, with which its edge would be soft.
-    least = 1.0 - STEEPER * halfway * smoothing
+    least = max(FLATTEST, 1.0 - STEEPER * halfway * smoothing)
     edge = np.full(distance.shape, np.float32(softness / unit))
     if least < 1.0:
         steep = np.hypot(*slopes(distance * np.float32(unit / grain)))
