@@ -62,7 +62,7 @@ class Channels:
     """A picture of three or four channels, ready to be sampled at any scale.
 
     `images`, (H, W, C) each, have its channels. A fourth one that is `signed` is a distance from an
-    outline: it goes on in a margin, over which the others are continued as their border is.
+    outline, drawn up to `edge`: it goes on in a margin, and the others as their border is.
     """
 
     def __init__(
@@ -72,8 +72,9 @@ class Channels:
         operations: Operations,
         *,
         signed: bool,
+        edge: float = 0.0,
     ) -> None:
-        self.canvas, self._operations, self._signed = canvas, operations, signed
+        self.canvas, self._operations, self._signed, self._edge = canvas, operations, signed, edge
         # Large pictures are needed once: copies with half the pixels are enough for the others.
         half = self._canvas_at(1).shape
         self._levels = {0: self._uploaded(images, canvas)}
@@ -99,10 +100,10 @@ class Channels:
         for number, channel in enumerate(channels):
             plane = reduced(channel, small.shape)[..., 0]
             if number == 3 and self._signed:
-                # Distances count no further, so that holes open as soon as particles leave them.
                 far = np.float32(FAR * max(small.shape) / max(*small.scale, 1e-9))
-                wider = _continued(plane, small) / far
-                np.multiply(np.tanh(wider, out=wider), far, out=wider)
+                wider = _continued(plane, small)
+                edge = np.clip(wider, -self._edge, self._edge)
+                wider = edge + far * np.tanh((wider - edge) / far)
             else:
                 wider = np.pad(plane, margin, mode="edge")
             spline[..., number] = spline_filter(wider, order=3, mode="mirror", output=np.float32)
@@ -222,12 +223,15 @@ class Pictures:
         for number, canvas in enumerate(self.canvases):
             points, cells = (canvas.reduced(side).shape for side in (POINTS, CELLS))
             own, continued, sampled = self._images(number)
+            edge = self.figures[number].softness / max(*canvas.scale, 1e-9) if self.figures else 0.0
             self.own.append(reduced(own, points))
             self.continued.append(reduced(continued, points))
             self.cells.append(reduced(continued, cells))
             del own, continued
             for name, images in sampled.items():
-                channels = Channels(images, canvas, self._operations, signed=name == "figure")
+                channels = Channels(
+                    images, canvas, self._operations, signed=name == "figure", edge=edge
+                )
                 self._channels.setdefault(name, []).append(channels)
 
     def _images(self, number: int) -> tuple[Float32, Float32, dict[str, list[Float32]]]:
