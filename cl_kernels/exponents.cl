@@ -25,6 +25,7 @@
 typedef double staged_real;
 typedef OF_LANES(double, WIDTH) ereal;
 #if WIDTH == 1
+// Casts: clang has no built-in function of one lane for NVPTX, and Intel's compiler, with one, computes wrongly.
 #define TO_EREAL(v) ((double)(v))
 #define TO_VREAL(v) ((float)(v))
 #else

@@ -29,6 +29,7 @@ typedef OF_LANES(float, LANES) vsingle;
 typedef double real;
 typedef OF_LANES(double, LANES) reals;
 #if LANES == 1
+// Casts: clang has no built-in function of one lane for NVPTX, and Intel's compiler, with one, computes wrongly.
 #define TO_REALS(v) ((double)(v))
 #define TO_VSINGLE(v) ((float)(v))
 #else

@@ -76,34 +76,31 @@ def wiped(ends: tuple[Picture, Picture]) -> list[Picture]:
 
 
 def ink(frame: Picture) -> Picture:
-    """Return how much darker than white a frame is: (H, W)."""
-    return 1 - over(frame, 1.0).mean(axis=2)
+    """Return how much darker than white an opaque frame is: (H, W)."""
+    return 1 - frame.mean(axis=2)
 
 
 def from_masses(ends: tuple[Picture, Picture]) -> list[float]:
-    """Return how far the film and a wipe in place are from the plan's masses, in percent.
+    """Return how far the film and a wipe in place are from the masses of the film's plan.
 
-    Root mean squares at the three times of what a Gaussian of a sixteenth of the longer side
-    leaves.
+    The distances are root mean squares of what a Gaussian of a sixteenth of the longer side leaves,
+    in percent of black, and means over the three times.
     """
     made = clmorph.morph(*ends, n_frames=FRAMES, **PLAIN)
     moving = made.particles
-    first, last = (resized(over(end, 1.0), made.frame(0.5).shape[:2]) for end in ends)
-    height, width = first.shape[:2]
-    longer = max(height, width)
-    areas = ink(first).sum(), ink(last).sum()
-    wiped_by = wipe(first, last, FRAMES)
+    height, width = ends[0].shape[:2]
+    longer, box = max(height, width), ((0, height), (0, width))
+    areas = [ink(end).sum() for end in ends]
     squares = []
-    for t in TIMES:
+    for t, of_wipe in zip(TIMES, wiped(ends), strict=True):
         shares = (1 - t, t)
         places = sum(s * moving.table[moving.links[:, n], :2] for n, s in enumerate(shares))
-        masses = moving.weights @ shares
-        y, x = ((places - 0.5) * (longer - 1) + (width / 2, height / 2)).T[::-1]
-        box = ((0, height), (0, width))
-        mass, *_ = np.histogram2d(y, x, (height, width), box, weights=masses)
+        x, y = ((places - 0.5) * (longer - 1) + (width / 2, height / 2)).T
+        mass, *_ = np.histogram2d(y, x, (height, width), box, weights=moving.weights @ shares)
         mass *= np.dot(shares, areas) / mass.sum()
-        frames = made.frame(t), wiped_by[round(t * (FRAMES - 1))]
-        apart = [gaussian_filter(ink(frame) - mass, longer / 16) for frame in frames]
+        apart = [
+            gaussian_filter(ink(each) - mass, longer / 16) for each in (made.frame(t), of_wipe)
+        ]
         squares.append(np.mean(np.square(apart), axis=(1, 2)))
     return [float(value) for value in 100 * np.sqrt(squares).mean(axis=0)]
 

@@ -31,6 +31,9 @@ ROUGH, ROUGH_WIDTH, FADING = 6.0, 3.0, 3.0
 #: By how much the mean of two distances, halfway, may be made steeper; the least slope, which
 #: distances far from all outlines do not have.
 STEEPER, FLATTEST = 1.5, 0.25
+#: Distance beyond the edge that counts as far, as a share of the longer side: the mean of two
+#: distances is then inside where most of the mass is, and not where one figure is broadest.
+FAR = 1 / 16
 #: Pixels across the width of a Gaussian on the canvas on which what it smooths is computed.
 ACROSS = 3.0
 #: Half of the width up to which a line is thin, as a share of the longer side: one of two thin
@@ -82,6 +85,20 @@ class Outline(NamedTuple):
             )
         )
         return around(wider[np.ix_(rows, columns)])
+
+
+def bounded(distance: Float32, edge: float, far: float) -> Float32:
+    """Return signed distances that beyond the edge grow by at most `far`; the array is used up.
+
+    Within a soft edge they are what is drawn, and stay as they are.
+    """
+    near = np.clip(distance, -edge, edge)
+    distance -= near
+    distance /= far
+    np.tanh(distance, out=distance)
+    distance *= far
+    distance += near
+    return distance
 
 
 def around(some: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -24,7 +24,7 @@ from clmorph.frames.ends import End
 from clmorph.frames.fields import CELLS, POINTS, affine, blurred
 from clmorph.frames.figures import Figure, beyond
 from clmorph.frames.moved_layer import Layer, led_to
-from clmorph.frames.outline import around, outline_of, thinness
+from clmorph.frames.outline import FAR, around, bounded, outline_of, thinness
 from clmorph.frames.resampling import Enlarged, reduced
 from clmorph.images.color import PART, from_space, to_space
 
@@ -45,9 +45,6 @@ NEAR = 2.0
 #: Width, as a share of the longer side, over which figures are continued beyond the borders of
 #: their pictures, so that distances from outlines go on there.
 MARGIN = 1 / 8
-#: Distance from an outline, likewise, that counts as far: the mean of two distances is then inside
-#: where most of the mass is, and not where one figure is broadest.
-FAR = 1 / 16
 #: Pixels along the longer side of a picture by which distances are continued there.
 MARGIN_PIXELS = 1024
 #: Points of the stage over which a layer stops being seen beyond its own figure.
@@ -61,8 +58,8 @@ BAND = 1 << 21
 class Channels:
     """A picture of three or four channels, ready to be sampled at any scale.
 
-    `images`, (H, W, C) each, have its channels. A fourth one that is `signed` is a distance from an
-    outline, drawn up to `edge`: it goes on in a margin, and the others as their border is.
+    `images`, (H, W, C) each, have its channels. With an `edge` the fourth one is the distance from
+    an outline of that width: it goes on in a margin, and the others as their border is.
     """
 
     def __init__(
@@ -70,11 +67,9 @@ class Channels:
         images: Sequence[Float32],
         canvas: Canvas,
         operations: Operations,
-        *,
-        signed: bool,
-        edge: float = 0.0,
+        edge: float | None = None,
     ) -> None:
-        self.canvas, self._operations, self._signed, self._edge = canvas, operations, signed, edge
+        self.canvas, self._operations, self._edge = canvas, operations, edge
         # Large pictures are needed once: copies with half the pixels are enough for the others.
         half = self._canvas_at(1).shape
         self._levels = {0: self._uploaded(images, canvas)}
@@ -93,17 +88,15 @@ class Channels:
     def _uploaded(self, images: Sequence[Float32], small: Canvas) -> tuple[Any, Canvas]:
         from scipy.ndimage import spline_filter
 
-        wide = _with_margin(small) if self._signed else small
+        wide = small if self._edge is None else _with_margin(small)
         margin = (wide.shape[0] - small.shape[0]) // 2
         spline = np.zeros((*wide.shape, 4), np.float32)
         channels = (image[..., c : c + 1] for image in images for c in range(image.shape[2]))
         for number, channel in enumerate(channels):
             plane = reduced(channel, small.shape)[..., 0]
-            if number == 3 and self._signed:
-                far = np.float32(FAR * max(small.shape) / max(*small.scale, 1e-9))
-                wider = _continued(plane, small)
-                edge = np.clip(wider, -self._edge, self._edge)
-                wider = edge + far * np.tanh((wider - edge) / far)
+            if number == 3 and self._edge is not None:
+                far = FAR * max(small.shape) / max(*small.scale, 1e-9)
+                wider = bounded(_continued(plane, small), self._edge, far)
             else:
                 wider = np.pad(plane, margin, mode="edge")
             spline[..., number] = spline_filter(wider, order=3, mode="mirror", output=np.float32)
@@ -223,15 +216,15 @@ class Pictures:
         for number, canvas in enumerate(self.canvases):
             points, cells = (canvas.reduced(side).shape for side in (POINTS, CELLS))
             own, continued, sampled = self._images(number)
-            edge = self.figures[number].softness / max(*canvas.scale, 1e-9) if self.figures else 0.0
             self.own.append(reduced(own, points))
             self.continued.append(reduced(continued, points))
             self.cells.append(reduced(continued, cells))
             del own, continued
             for name, images in sampled.items():
-                channels = Channels(
-                    images, canvas, self._operations, signed=name == "figure", edge=edge
-                )
+                edge = None
+                if self.figures is not None and name == "figure":
+                    edge = self.figures[number].softness / max(*canvas.scale, 1e-9)
+                channels = Channels(images, canvas, self._operations, edge)
                 self._channels.setdefault(name, []).append(channels)
 
     def _images(self, number: int) -> tuple[Float32, Float32, dict[str, list[Float32]]]:
