@@ -21,12 +21,7 @@ NUMBERS = "biuf"
 
 
 def as_array(name: str, value: Any, expected: str = "an array of numbers") -> AnyArray:
-    """Return a value as an array of numbers, with its own dtype, in this machine's byte order.
-
-    It can share memory with the value. A `pyopencl.array.Array` is read when the work that its
-    ``events`` and its queue hold has ended, and its memory stays mapped until this array and all
-    its views are garbage.
-    """
+    """Return an array of numbers, with its own dtype, in native byte order; it may share memory."""
     value = _on_host(name, value, expected)
     if hasattr(value, "getbands") and getattr(value, "mode", "RGB") not in _PLAIN_MODES:
         raise InputError(

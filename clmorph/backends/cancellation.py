@@ -1,7 +1,4 @@
-"""Ctrl-C interrupts the main thread alone; this stops the work of other threads for it.
-
-Operations call `check_cancelled` between their launches.
-"""
+"""Stop the work of threads for Ctrl-C, which interrupts the main one alone."""
 
 import contextlib
 import threading

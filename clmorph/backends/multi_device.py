@@ -103,11 +103,7 @@ def sharing_notes(operations: Operations) -> list[str]:
 
 
 def turns(operations: Operations, count: int) -> list[int]:
-    """Return the device of each piece of work, (count,): each has its share, to within one or two.
-
-    The shares are in proportion to the speeds that were measured when the devices were tried, so
-    that they are always the same; a device of unknown speed counts as the slowest known one.
-    """
+    """Return the device of each piece of work, (count,), in proportion to recorded speeds."""
     speeds = np.array([member.pairs_per_second for member in members_of(operations)])
     known = speeds[speeds > 0]
     speeds[speeds <= 0] = known.min() if len(known) else 1.0
@@ -120,10 +116,7 @@ def turns(operations: Operations, count: int) -> list[int]:
 
 
 def _least_memory(members: Sequence[Operations]) -> int | None:
-    """Return the memory that every device has; None if none has a limit of its own.
-
-    Devices in the host's memory have equal parts of what each of them reports.
-    """
+    """Return what each device has of memory, parts of the host's if there; None for no limit."""
     on_host = sum(member.shares_host_memory for member in members)
     limits = [
         member.memory_bytes // (on_host if member.shares_host_memory else 1)

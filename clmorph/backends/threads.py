@@ -46,12 +46,7 @@ def _first(errors: dict[int, BaseException]) -> BaseException:
 def results_in_order(
     turns: Sequence[int], work: Callable[[int, int], T]
 ) -> Generator[T, None, None]:
-    """Compute results in one thread a worker, and yield them in order.
-
-    `turns` is the worker of each result, and `work` takes a worker and the number of a result. A
-    worker waits with a finished result while the one before it has not been taken. So at most two
-    results of each worker are in memory.
-    """
+    """Yield results in order: `work(worker, number)` by a thread for each worker of `turns`."""
     stop, changed = Cancellation(), threading.Condition()
     done: dict[int, T] = {}
     errors: dict[int, BaseException] = {}
@@ -63,6 +58,7 @@ def results_in_order(
                 for number in [place for place, turn in enumerate(turns) if turn == worker]:
                     check_cancelled()
                     result = work(worker, number)
+                    # So at most two results of each worker are in memory.
                     with changed:
                         changed.wait_for(lambda: stop.requested or not waiting[worker])
                         done[number], waiting[worker] = result, True

@@ -39,15 +39,7 @@ T = TypeVar("T")
 
 
 class OpenCLOperations:
-    """Operations on one device; safe to share between threads, which take turns.
-
-    Its attributes are the operations of `clmorph.backends.interface.Operations`. Each is a method
-    of one of the objects that `_bind` creates, and its signature stands in the class there. Build
-    constants are the tuned ones by default, else those for the kind of device. `verify` has each
-    program verified against NumPy before its first use (`Programs`). `profiled` has the device's
-    own clock measure kernels (`Workspace.note`). All work runs in `queue`, that of a host program,
-    or in a context of its own.
-    """
+    """Operations on one device, in a context of its own or in a `queue`; threads take turns."""
 
     def __init__(
         self,
@@ -149,11 +141,8 @@ class OpenCLOperations:
         self.apply_table = take_turns(tables.apply_table)
 
     def _take_turns(self, method: Callable[P, T]) -> Callable[P, T]:
-        """Run one operation at a time on a device, and report its failures as errors of clmorph.
-
-        A kernel stores its arguments from when they are set until it is launched, so two threads
-        must not use it at the same time.
-        """
+        """Run one operation at a time on a device, and report failures as errors of clmorph."""
+        # A kernel stores its arguments until it is launched, so threads must not share it meanwhile.
         # The closure does not refer to `self`: such a cycle would have to wait for the garbage
         # collector.
         lock, description = self.lock, self.description

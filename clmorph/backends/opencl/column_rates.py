@@ -14,11 +14,7 @@ RUNS = 5
 
 
 def many_eighths(operations: OpenCLOperations, rate: float) -> int:
-    """Return the eighths of a tile's columns from which on it is faster to sum all of them.
-
-    Each chosen column takes its time; a whole tile takes less than as many chosen columns.
-    `rate` is that of the device, in point pairs per second.
-    """
+    """Return from how many eighths of its columns on a whole tile is summed faster, by `rate`."""
     points = POINTS if rate * LONGEST_RUN > POINTS**2 else FEW_POINTS
     few, more, whole = (_chosen_seconds(operations, points, eighths) for eighths in (1, 5, 8))
     each = (more - few) / 4

@@ -1,8 +1,4 @@
-"""Arrays in the memory of a device: those of a host program as input, and new ones for results.
-
-Both are mapped and not copied. Where the device's memory is the host's, as with CPUs and integrated
-GPUs, mapping moves nothing. On another device it is the one transfer between the two memories.
-"""
+"""Arrays in the memory of a device, of a host program or for results: mapped, and not copied."""
 
 import contextlib
 import os
@@ -43,12 +39,7 @@ class _Mapping:
 
 
 def read_in_place(name: str, value: Any, expected: str) -> NDArray[Any]:
-    """Map a `pyopencl.array.Array` of a host program, and return its elements in place, read-only.
-
-    The elements are valid because this function waits for the array's pending events and for the
-    work that was enqueued on the array's queue before. The buffer stays mapped until the returned
-    array and all its views are garbage.
-    """
+    """Map an array of a host program, read-only, when the work enqueued on it has ended."""
     if not isinstance(value, cl_array.Array):
         raise InputError(
             f"{name} is of pyopencl's type {printable(type(value).__name__)}: expected {expected}; "
@@ -109,10 +100,7 @@ def as_queue(value: Any) -> cl.CommandQueue:
 def to_device(
     queue: cl.CommandQueue, values: NDArray[Any], dtype: DTypeLike | None = None
 ) -> cl_array.Array:
-    """Return a new array on a device, in C order, rounded to `dtype` if one is given.
-
-    Its ``events`` hold the end of the writing, which is ordered on `queue` itself.
-    """
+    """Return a new array on a device, in C order; its ``events`` hold the end of the writing."""
     claim_opencl()
     dtype = np.dtype(values.dtype if dtype is None else dtype)
     try:

@@ -22,11 +22,7 @@ def opened(device: cl.Device) -> OpenCLOperations:
 
 
 def operations_in(given: Any) -> OpenCLOperations:
-    """Return the operations in a context or queue of a host program, or on a device.
-
-    The operations of one object are always the same, as long as the program keeps the object; they
-    do not keep it alive, nor its context. A context must have one device.
-    """
+    """Return the operations in an object of a host program, the same as long as it is kept."""
     claim_opencl()
     if not isinstance(given, cl.Device | cl.Context | cl.CommandQueue):
         raise InputError(

@@ -1,9 +1,4 @@
-"""Verify programs of a device: ``python -m clmorph.backends.opencl.probe INDEX [REQUEST]``.
-
-The programs are those of the request (`build.programs.make_request`), those that most morphs use,
-or with "further" those that they use beside these. A line is printed before and after the check of
-each (`devices.trial`). No program that this process builds is verified in a further process.
-"""
+"""Verify programs of a device: ``python -m clmorph.backends.opencl.probe INDEX [REQUEST]``."""
 
 import contextlib
 import json
@@ -92,10 +87,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
 
 
 def _with_faster_exponents(device: cl.Device) -> BuildConstants:
-    """Return constants for a device, with float64 for precise exponents only where it is faster.
-
-    On many graphics cards its rate is 1/64 of float32's. Processors need no measurement.
-    """
+    """Return constants with float64 for precise exponents only where that is faster."""
     constants = choose_constants(device)
     if constants.precise == 2 and not device.type & cl.device_type.CPU:
         pairs = replace(constants, precise=1)
@@ -156,10 +148,7 @@ def _has_resources(device: cl.Device) -> bool:
 
 
 def end_with_parent() -> None:
-    """End this process when its standard input is closed, whose other end its parent holds.
-
-    So a probe of a driver that hangs ends with its parent, even if the parent is killed.
-    """
+    """End this process when its parent ends and so closes the other end of standard input."""
 
     def wait() -> None:
         # The thread does not read `sys.stdin`, because it would hold its lock at exit.

@@ -33,11 +33,7 @@ def variants(constants: BuildConstants, name: str, largest_group: int) -> Iterat
 
 
 def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants, float, float]:
-    """Time constants on a device and keep the best in the user's cache folder.
-
-    The result is the constants, and the point pairs per second through the log-sum-exp before and
-    after; `tell` is called with a line for every trial.
-    """
+    """Time constants, tell each trial, keep the best; return them, and pairs/s before and after."""
     largest = int(device.max_work_group_size)
     best = start = choose_constants(device)
     before = after = _speed(device, best)

@@ -84,18 +84,12 @@ class BuildConstants:
 
     @property
     def blocks(self) -> int:
-        """Groups of `width` rows that a work-item takes with the same staged columns.
-
-        Where a work-group has one work-item, this takes all rows of its tile. Its loops are longer
-        then, so it takes one group where loops must be short.
-        """
+        """Groups of `width` rows that a work-item takes with the same staged columns."""
+        # A single work-item takes all rows of its tile, unless its loops must be short.
         return self.tile // self.width if self.group == 1 and not self.longest_loop else 1
 
     def stacks(self, dimension: int, precise: bool) -> int:
-        """Return how many work-items of a group share their rows in the log-sum-exp.
-
-        Each has the `rows` of as many work-items, if registers suffice, and a share of the columns.
-        """
+        """Return how many work-items share their rows, and the columns, in the log-sum-exp."""
         if dimension >= SLICED_FROM:
             return 1
         registers = self.width * dimension * (2 if precise else 1)
@@ -258,11 +252,8 @@ def cpu_constants(vector: int) -> BuildConstants:
 
 
 def lanes_constants(largest_group: int) -> BuildConstants:
-    """Return constants for a CPU whose driver puts work-items, not vectors, into SIMD lanes.
-
-    Such a driver (llvmpipe) announces vectors of one float. It reads memory lane by lane, so that
-    every number read is used for some rows: four, because with eight it takes minutes to compile.
-    """
+    """Return constants for a CPU whose driver (llvmpipe) puts work-items into SIMD lanes."""
+    # Every number is read lane by lane, for four rows: with eight it takes minutes to compile.
     sides = (8, 4, 2, 1)
     group = next(group for group in (16, *sides) if group <= largest_group)
     return BuildConstants(

@@ -22,11 +22,7 @@ _INCLUDE = re.compile(r'^#include "([a-z_]+\.cl)"$', re.MULTILINE)
 
 @functools.cache
 def source(name: str) -> str:
-    """Return a file of ``cl_kernels/`` with its includes expanded.
-
-    Drivers cache builds by the text that they receive, and do not notice changes of included files.
-    Therefore they receive the complete text; ``#line`` makes their messages refer to the files.
-    """
+    """Return a file of ``cl_kernels/`` with its includes, because drivers cache by the text."""
     text = (resources.files("clmorph.cl_kernels") / name).read_text(encoding="utf-8")
 
     def expand(match: re.Match[str]) -> str:
@@ -42,12 +38,7 @@ def build(
     constants: dict[str, int | float],
     device: cl.Device | None = None,
 ) -> cl.Program:
-    """Build a file of ``cl_kernels/`` for one device of a context, by default the first one.
-
-    `constants` are macros, defined with ``-D``; a float becomes a float32 literal. The binary is
-    kept in the user's cache folder, under a key of source, options, device and driver. If the
-    compiler rejects the source, a ProgramError has its first error.
-    """
+    """Build a kernel file for a device of a context, or raise a ProgramError; binaries are kept."""
     options = build_options(constants)
     device = device or context.devices[0]
     file = _binary_file(device, name, options)
@@ -77,11 +68,7 @@ def build_options(constants: dict[str, int | float]) -> list[str]:
 
 
 def kernel(program: cl.Program, name: str) -> cl.Kernel:
-    """Return a kernel of a program, even if pyopencl's cache is unusable.
-
-    pyopencl generates some Python for each kernel and keeps it in a database of its own. It fails
-    if the database cannot be written or is damaged; this function then disables that cache.
-    """
+    """Return a kernel of a program, even if pyopencl's database of its own is unusable."""
     _check_pyopencl_cache()
     try:
         return cl.Kernel(program, name)
@@ -126,14 +113,9 @@ def _from_source(
 
 
 def _build(program: "cl._Program", device: cl.Device, options: list[str]) -> None:
-    """Build a program by the driver, without the additions of `pyopencl.Program.build`.
-
-    That method warns of every build log, which Intel's compiler also writes on success, and a
-    filter of warnings would apply to the whole process. Its cache waits a minute for the lock of a
-    process that was killed, and raises an error for a damaged entry (for our cache see
-    `_from_binary`).
-    """
-    # `_build` is the private method that `build` calls; if it is missing, `build` is called.
+    """Build a program by the driver alone, without pyopencl's warnings, locks and cache."""
+    # pyopencl's `build` waits a minute for a killed process's lock, and fails if its cache is
+    # damaged. It calls the private `_build`; if that is missing, `build` is called.
     build = getattr(program, "_build", None) or program.build
     build(" ".join(options).encode(), [device])
 

@@ -59,10 +59,7 @@ class Programs:
         return {name: program.kernel(built, name) for name in KERNELS[variant.file]}
 
     def verify(self, variant: Variant) -> None:
-        """Verify a program, unless its verdict is known; a wrong, crashing or slow one is refused.
-
-        Of the programs that one morph uses, all whose verdicts are unknown are verified together.
-        """
+        """Verify a program and those used with it, unless known; refuse a wrong or crashing one."""
         verdict = verdicts.load_program_verdict(self._key(variant)) or self._verdict(variant)
         reason = verdict.reason
         if not reason:
@@ -112,11 +109,9 @@ class Programs:
 
 
 def program_key(device: cl.Device, variant: Variant, constants: BuildConstants) -> str:
-    """Return the key of a program's verdict: of its binary, all constants and the package's code.
-
-    Not all constants are macros: by some of them the host chooses its launches.
-    """
+    """Return the key of a verdict: of a program's binary, all constants and the package's code."""
     key = program.build_key(device, variant.file, variant.macros(constants))
+    # Not all constants are macros: by some of them the host chooses its launches.
     of_constants = hashlib.sha256(repr(constants).encode()).hexdigest()
     return f"{key}-{of_constants[:8]}-{verdicts.code_identity()[:16]}"
 

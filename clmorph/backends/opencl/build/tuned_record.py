@@ -21,10 +21,7 @@ CANDIDATES: dict[str, tuple[int, ...]] = {
 
 
 def is_possible(constants: BuildConstants, largest_group: int) -> bool:
-    """Return whether kernels can be built: work-groups are within the limit and divide tiles.
-
-    Rows are the least, or more than a vector and no more than a group has.
-    """
+    """Return whether kernels can be built: groups are within the limit and divide tiles."""
     return (
         constants.group <= largest_group
         and constants.tile in CANDIDATES["tile"]

@@ -23,11 +23,7 @@ class Variant:
 
     @property
     def in_blocks(self) -> bool:
-        """Whether work-items take several groups of rows: where sums have chosen columns.
-
-        Such problems have rows enough for all of a device's cores. So do they where columns have
-        many coordinates, which it takes time to stage.
-        """
+        """Whether work-items take several groups of rows: where rows suffice for all cores."""
         if self.file == "near_field.cl":
             return True
         return self.file == "log_sum_exp.cl" and (self.masked or self.is_sliced)
@@ -92,10 +88,7 @@ def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
 
 
 def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
-    """Return the variants that photographs and drawings use beside the usual ones.
-
-    The optional one comes last: a crash in it leaves the others verified.
-    """
+    """Return the variants that photographs and drawings use beside the usual ones."""
     return (
         Variant("tile_levels.cl"),
         Variant("near_field.cl", dimension, listed=True),
@@ -105,7 +98,7 @@ def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
         Variant("plan_shares.cl", dimension, listed=True, masked=True),
         Variant("plan_rows.cl", dimension, listed=True),
         Variant("sliced_ellpack.cl"),
-        Variant("sparse_half_steps.cl"),
+        Variant("sparse_half_steps.cl"),  # last: a crash in it leaves the others verified
     )
 
 
@@ -132,10 +125,7 @@ def all_variants(dimension: int = 5) -> tuple[Variant, ...]:
 
 
 def used_together(variant: Variant) -> tuple[Variant, ...]:
-    """Return the variants that one morph uses, with this one among them; else this one alone.
-
-    Iterations need none of the others. In many dimensions they are those of a solve.
-    """
+    """Return the variants that one morph, or solve, uses with this one; else this one alone."""
     if variant.is_optional:
         return (variant,)
     dimension = variant.dimension or 5

@@ -1,8 +1,4 @@
-"""Small files in the user's cache folder, which can be made again at any time.
-
-No function here raises an error: a file that cannot be read counts as missing, and one that cannot
-be written is not kept. Processes replace each other's files as a whole.
-"""
+"""Small files in the user's cache folder, replaced as a whole; what fails counts as missing."""
 
 import contextlib
 import json
@@ -18,11 +14,7 @@ from clmorph._shared.staging import staging_folder
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of the cache; None if no folder can be written to.
-
-    If the user's cache folder is not writable (for example in a read-only home), it is a temporary
-    one to which only its owner has access, because it holds kernels that are executed.
-    """
+    """Return the folder of the cache, or a private temporary one; None if none is writable."""
     for folder in _wanted_folders():
         # A relative path would be another folder after each change of directory.
         if folder.is_absolute() and _can_write(folder):
@@ -109,8 +101,5 @@ def load_record(name: str) -> dict[str, Any]:
 
 
 def save_record(name: str, record: dict[str, Any]) -> None:
-    """Write a JSON object to the cache, if that is possible; see `load_record`.
-
-    Each record has its own file, so that processes do not overwrite each other's records.
-    """
+    """Write a JSON object to a file of its own in the cache, if possible; see `load_record`."""
     write_cached(f"{name}.json", json.dumps(record, indent=1, sort_keys=True).encode())

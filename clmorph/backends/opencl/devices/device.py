@@ -95,12 +95,7 @@ def describe(index: str, device: "cl.Device", verdict: dict[str, Any]) -> Device
 
 
 def preference(handle: "cl.Device") -> tuple[int, int, int, int]:
-    """Return a sort key for the choice among devices, by what the devices announce of themselves.
-
-    GPUs come before other devices before CPUs; GPUs with memory of their own before others; among
-    CPUs, runtimes whose speed is known before others; then the devices with more lanes and a higher
-    clock. See `opencl.devices.find.in_order` for GPUs of several models.
-    """
+    """Return a key for the choice: GPUs, others, CPUs; own memory, fast runtimes, lanes * clock."""
     import pyopencl as cl
 
     from clmorph.backends.opencl.devices.quirks import shares_host_memory

@@ -51,13 +51,7 @@ def raw_devices() -> tuple[tuple[str, "cl.Device"], ...]:
 
 @Once
 def tried(index: str) -> Device:
-    """Return a device of `raw_devices` with its verdict; if that is unknown, the device is tried.
-
-    The verdict is stored under a key of driver, platform, processor and kernel sources; the first
-    trial of a device takes some seconds. Meanwhile another process builds and verifies further
-    programs, whose verdicts count where they are used. A trial that ran out of time or memory is no
-    evidence about the device, and the next process repeats it.
-    """
+    """Return a device of `raw_devices` with its verdict, for which it is tried if that is new."""
     handle = dict(raw_devices())[index]
     key = verdict_key(handle)
     verdict = load_verdict(key)
@@ -91,11 +85,7 @@ def _check_variables() -> None:
 
 
 def in_order(entries: "Iterable[tuple[str, cl.Device]]") -> "list[tuple[str, cl.Device]]":
-    """Return indices and devices in the order in which they are chosen: that of `preference`.
-
-    Lanes of different models are not alike, so GPUs of several models or drivers are tried, and the
-    one with the higher recorded speed comes first, unless another has 5/6 of it.
-    """
+    """Return indices and devices in the order of choice, GPUs of several models by their speeds."""
     found: list[tuple[str, cl.Device]] = []
     ordered = sorted(entries, key=lambda entry: preference(entry[1]))
     for rank, group in itertools.groupby(ordered, key=lambda entry: preference(entry[1])[:-1]):
@@ -141,13 +131,7 @@ def index_of(handle: "cl.Device") -> str | None:
 
 
 def choose_device(spec: str = "auto", even_wrong: bool = False) -> Device:
-    """Choose the device that a user specifies: the first usable one of those that are meant.
-
-    The devices that are meant are tried in the order of `in_order`, and none after the first
-    usable one. "auto" (or "opencl") means the devices that ``PYOPENCL_CTX`` names, if it is set,
-    and else all. Another text is an index such as "0:1", or part of a device's or platform's name.
-    With `even_wrong` a device that computes wrong results is chosen if no usable one is meant.
-    """
+    """Choose the first usable device that a user means by "auto", an index or part of a name."""
     listed = raw_devices()
     if not listed:
         raise DeviceError(f"no OpenCL device was found; {_installation_hint(())}")

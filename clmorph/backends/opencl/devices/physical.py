@@ -10,12 +10,7 @@ if TYPE_CHECKING:
 
 
 def physical_devices() -> tuple[Device, ...]:
-    """Return a usable device for each piece of hardware, in the order in which "auto" takes them.
-
-    Of several drivers of one processor the one that "auto" prefers is taken, and no other one is
-    tried if it works. All CPU devices of a machine are one processor. GPUs are told apart by their
-    place on the bus or their UUID, and where a driver tells neither, by their name and number.
-    """
+    """Return one usable device for each piece of hardware, in the order of "auto"."""
     found: dict[Any, Device] = {}
     numbers: dict[tuple[str, str], int] = {}
     for index, handle in in_order(raw_devices()):
@@ -32,10 +27,7 @@ def physical_devices() -> tuple[Device, ...]:
 
 
 def hardware_of(handle: "cl.Device", name: str, number: int) -> tuple[Any, ...]:
-    """Return a key that is the same for all drivers of a piece of hardware.
-
-    `number` counts the devices of its platform with this name.
-    """
+    """Return a key of the hardware; `number` counts its platform's devices of this name."""
     import pyopencl as cl
 
     if handle.type & cl.device_type.CPU:

@@ -62,11 +62,7 @@ def _leave_drivers() -> None:
 
 
 class Once(Generic[P, T]):
-    """A function that uses OpenCL and caches its results: a `functools.cache` for threads.
-
-    Threads that call it at the same time wait for the result of the first one instead of computing
-    it too. Errors are not cached.
-    """
+    """A `functools.cache` for functions that use OpenCL; threads wait for the first result."""
 
     def __init__(self, function: Callable[P, T]) -> None:
         self.__wrapped__ = function

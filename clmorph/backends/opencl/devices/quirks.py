@@ -1,8 +1,4 @@
-"""Detect quirks: named properties of devices that need other build options than most.
-
-This module detects each quirk, and `opencl.build.constants.apply_quirks` turns it into build-time
-constants. A quirk can be forced for a trial: ``CLMORPH_QUIRKS=small_groups,inexact_exp2``.
-"""
+"""Quirks: named properties of devices that need other build options (`constants.apply_quirks`)."""
 
 import os
 
@@ -68,13 +64,10 @@ def forced_quirks() -> frozenset[str]:
 
 
 def shares_host_memory(device: cl.Device) -> bool:
-    """Return whether a device says that its memory is a part of the host's.
-
-    OpenCL 2.0 deprecates the property, and a driver that lacks it makes pyopencl raise an error.
-    """
+    """Return whether a device says that its memory is a part of the host's."""
     try:
         return bool(device.host_unified_memory)
-    except (cl.Error, AttributeError):
+    except (cl.Error, AttributeError):  # OpenCL 2.0 deprecates the property
         return False
 
 

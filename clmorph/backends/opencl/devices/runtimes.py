@@ -54,10 +54,7 @@ def intel_runtime() -> Path | None:
 
 
 def list_platforms() -> list["cl.Platform"]:
-    """List the loader's platforms, followed by those of pip's runtimes that it lacks.
-
-    If the user has set ``OCL_ICD_VENDORS``, only the loader's platforms are listed.
-    """
+    """List the loader's platforms and, without ``OCL_ICD_VENDORS``, those of pip's runtimes."""
     is_uncached()
     with undisturbed():  # an exception from a signal handler during the call aborts the process
         import pyopencl as cl

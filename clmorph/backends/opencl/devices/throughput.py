@@ -21,12 +21,7 @@ LEAST_SHARE = 1e-4
 
 
 def throughput(operations: Operations, points: int = 4096, precise: bool = False) -> float:
-    """Return the highest rate of a few runs of the log-sum-exp, in point pairs per second.
-
-    It is that of the device's own clock, if the operations are profiled. On a very slow device,
-    such as a simulator, there are fewer points, and on a fast one more. With `precise` it is the
-    rate of sums with precise exponents.
-    """
+    """Return the highest rate of a few runs of the log-sum-exp, in point pairs per second."""
     rate = short = _rate(operations, min(points, FEW_POINTS), 0.0, precise)
     if points * points > LONGEST_RUN * short:
         return short
@@ -39,10 +34,7 @@ def throughput(operations: Operations, points: int = 4096, precise: bool = False
 
 
 def seconds_of(operations: Any, run: Callable[[], object]) -> float:
-    """Return the seconds of a run: those of its kernels, if the operations are profiled.
-
-    If the device's clock does not run, they are the host's.
-    """
+    """Return the seconds of a run, by the device's clock if that is profiled and runs."""
     work = getattr(operations, "work", None)
     before, began = getattr(work, "device_seconds", 0.0), time.perf_counter()
     run()

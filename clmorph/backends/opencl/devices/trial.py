@@ -1,7 +1,4 @@
-"""Trials of devices and programs: `opencl.probe` runs in a separate process, within a time limit.
-
-A driver may abort or hang its process, so no program is run in this process before it was verified.
-"""
+"""Trials of devices and programs in a process of their own: a driver may abort or hang it."""
 
 import contextlib
 import json
@@ -101,11 +98,7 @@ class Ended(NamedTuple):
 
 
 def _run(command: list[str], seconds: float, reading: int) -> Ended:
-    """Run a process, which may take `seconds` for each of the lines that it prints.
-
-    The end of the process counts, and not that of its standard output, which a further process
-    that a driver has started may keep open.
-    """
+    """Run a process until it ends, not its output; each of its lines may take `seconds`."""
     lines: list[str] = []
     with tempfile.TemporaryFile() as noise:
         process = subprocess.Popen(
@@ -196,10 +189,7 @@ def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
 
 
 def interpreter() -> str | None:
-    """Return the path of the Python interpreter; None if an embedding program does not set it.
-
-    The path may then be that of the application itself, which must not be started as the probe.
-    """
+    """Return the Python interpreter; None where an application that embeds Python stands there."""
     from multiprocessing.spawn import get_executable
 
     python = os.fsdecode(get_executable() or "")

@@ -1,8 +1,4 @@
-"""Verdicts on devices and programs, which come from `devices.trial`: keys, and where they are kept.
-
-A verdict that depends on the device and its driver is stored; one with a temporary cause (a
-timeout, a lack of memory, a kill by the user) is not.
-"""
+"""Verdicts on devices and programs: keys, and files for those whose cause is not temporary."""
 
 import hashlib
 import math
@@ -97,10 +93,7 @@ def _digest(*identity: str) -> str:
 
 
 def load_verdict(key: str) -> dict[str, Any] | None:
-    """Return the stored verdict of a `verdict_key`; None if it is missing or damaged.
-
-    It has the entries usable (bool), reason (str, empty if usable), pairs_per_second (float).
-    """
+    """Return the verdict of a `verdict_key` (`trial.run_probe`); None if missing or damaged."""
     if key in _refused:
         return _refused[key]
     verdict = load_record(f"{_DEVICES}/{key}")
@@ -112,10 +105,7 @@ def load_verdict(key: str) -> dict[str, Any] | None:
 
 
 def probed_speed(device: "cl.Device") -> float:
-    """Return point pairs per second as the probe has measured them; 0 if it has not.
-
-    A part of a device has the verdict of the whole, but not its speed.
-    """
+    """Return the probe's point pairs per second; 0 if unknown, as for a part of a device."""
     import pyopencl as cl
 
     try:
@@ -188,8 +178,5 @@ def save_program_verdict(key: str, reason: str, lasting: bool = True) -> Program
 
 
 def condemns(reason: str, optional: bool = False) -> bool:
-    """Return whether the device that a program was refused for does not work at all.
-
-    A compiler that refuses a program, or crashes on an `optional` one, says nothing of the others.
-    """
+    """Return whether a refused program's device does not work at all: wrong results, crashes."""
     return reason.startswith((WRONG,) if optional else (WRONG, CRASHED))

@@ -87,11 +87,7 @@ def possible_pairs(
     values: list[tuple[Float64, Float64]],
     k: float,
 ) -> Iterator[tuple[range, TilePairs]]:
-    """Yield pairs of tiles for which one of several bounds is not below 0, in parts.
-
-    Each row tile keeps at least one column tile, because reductions need one. `values` are
-    arguments of `row_bounds` and of `column_bounds` (for the largest term).
-    """
+    """Yield pairs of tiles of which one bound is not below 0, at least one of each row tile."""
 
     def bounds_of(one: Tiles, other: Tiles) -> list[_Sides]:
         return [(row_bounds(one, r, k), column_bounds(other, c, k, True)) for r, c in values]
@@ -139,10 +135,7 @@ def _lists(
     k: float,
     limit: float,
 ) -> Iterator[TileLists]:
-    """Yield the column tiles to bound for each block of row tiles.
-
-    If there are bounds of groups of tiles, groups whose bound is below a limit are left out.
-    """
+    """Yield the column tiles of blocks of row tiles, without groups bounded below `limit`."""
     n_columns = len(columns.centers)
     if not wides:
         yield all_tiles(len(rows.centers), n_columns)
@@ -160,14 +153,9 @@ def _lists(
 def _above(
     bound: BoundTiles, limit: float
 ) -> tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float32]]:
-    """Return the column tiles whose bound is not below a limit: starts, numbers, bounds.
-
-    `starts`, (row tiles + 1,), is the index at which those of each row tile begin. A row tile
-    without any keeps the one with the largest bound. A bound that overflows is no number, and is
-    not below a limit.
-    """
+    """Return column tiles not below a limit, or the highest one: starts, numbers, bounds."""
     values, starts = bound.values, bound.starts
-    above = ~(values < limit)
+    above = ~(values < limit)  # a bound that overflows is no number, and is kept
     for row in np.flatnonzero(~np.logical_or.reduceat(above, starts[:-1])):
         above[starts[row] + np.argmax(values[starts[row] : starts[row + 1]])] = True
     places = np.flatnonzero(above)
@@ -209,11 +197,7 @@ def paired(
 def kept_shares(
     starts: NDArray[np.int64], shares: NDArray[Any], budget: float
 ) -> tuple[NDArray[np.bool_], Float64]:
-    """Choose the shares to keep so that the sum of the others does not exceed the budget.
-
-    Those of each row begin at `starts`. The result is a mask of the kept ones, (n,), which always
-    include each row's largest one, and the sum of those left out of each row.
-    """
+    """Return a mask of shares so that others of a row sum to a budget at most, and these sums."""
     lengths = np.diff(starts)
     largest = np.maximum.reduceat(shares, starts[:-1])
     cut, left = np.zeros(len(lengths)), np.zeros(len(lengths))

@@ -115,11 +115,7 @@ def upload(
     weights: Float64,
     offsets: Float64 | None = None,
 ) -> Cloud:
-    """Upload a weighted cloud, (N, D) points and (N,) weights, in the `order` of its tiles.
-
-    `tile` is the number of points of one tile. `offsets`, (N,), are terms added to the cost of each
-    point.
-    """
+    """Upload (N, D) points, (N,) weights and terms of costs, in the `order` of tiles of a size."""
     n, dimension = points.shape
     n_tiles = -(-n // tile)
     padded = np.pad(points[order], ((0, n_tiles * tile - n), (0, 0)), mode="edge")
@@ -143,10 +139,7 @@ def upload(
 
 
 def centered_tiles(points: Float64, tile: int) -> tuple[Float64, Float64]:
-    """Return the centers of whole tiles, (tiles, D), and points less them, (tiles, tile, D).
-
-    Centers are rounded first, so that the device's copy is exact and offsets absorb the rounding.
-    """
+    """Return centers of tiles, (tiles, D), rounded to float32, and points less them."""
     low, high = boxes_of_runs(points, np.arange(0, len(points), tile))
     centers = (0.5 * (low + high)).astype(np.float32).astype(float)
     return centers, points.reshape(len(centers), tile, -1) - centers[:, None]

@@ -13,11 +13,7 @@ from clmorph.backends.records import Float64
 
 
 class ColumnBoxes(NamedTuple):
-    """The arguments of ``mark_columns`` that describe the boxes of all columns.
-
-    A tile has as many boxes as a vector has lanes, each of the same number of consecutive columns.
-    The buffers have no content where the kernel forms no bounds.
-    """
+    """What ``mark_columns`` knows of boxes, `width` a tile; empty where it forms no bounds."""
 
     lows: cl.Buffer  #: (D, tiles * lanes) least coordinates, less the tile's center
     highs: cl.Buffer  #: (D, tiles * lanes) largest ones

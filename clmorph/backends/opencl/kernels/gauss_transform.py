@@ -99,11 +99,7 @@ def moments_pay(
 
 
 def particles_of_bin(longest_loop: int, scalar: bool, group: int, cells: int) -> int:
-    """Return the number of particles of a bin in one launch of ``sum_moments``.
-
-    `scalar` tells whether the kernels are built with scalars, `group` is ``MOMENT_GROUP``,
-    work-items of a bin, and `cells` the number along each side of a bin.
-    """
+    """Return the number of particles of a bin in one launch of ``sum_moments``."""
     if not longest_loop:
         return loop_limits.NO_LIMIT
     if scalar:
@@ -142,12 +138,7 @@ class Moments:
         plane: int,
         sums: cl.Buffer,
     ) -> None:
-        """Add the splats of one width level to the sums, a buffer of float32.
-
-        The splats are sorted with a margin of at least the kernel's radius; `starts`, (bins + 1,),
-        are those of the bins of the width level. `stride` and `plane` are the distances from one
-        row, and from one channel, of the sums to the next.
-        """
+        """Add splats of one width level, sorted with the radius as margin, to the sums."""
         per_bin = round(bins.side / cells.side)
         bins_y, bins_x = bins.shape
         row_bytes = bins_x * per_bin**2 * TERMS * 16

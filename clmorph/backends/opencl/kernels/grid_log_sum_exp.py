@@ -37,10 +37,7 @@ class GridLogSumExp:
     def grid_log_sum_exp(
         self, exponents: Float64, axes: Sequence[tuple[Float64, Float64]], precise: bool = False
     ) -> Float64:
-        """Return log sum_j exp(e_j - |x_i - y_j|^2); see `Operations`.
-
-        A device without float64 leaves precise sums to NumPy.
-        """
+        """Return log sum_j exp(e_j - abs(x_i - y_j)^2), by NumPy if float64 is missing."""
         if precise and not self._constants.float64:
             return on_host(exponents, axes)
         if precise not in self._kernels:

@@ -1,6 +1,4 @@
-"""Keep every launch short: a desktop GPU's watchdog kills long ones, and progress and
-Ctrl-C live between them.
-"""  # noqa: D205
+"""Keep every launch short: watchdogs kill long ones, and Ctrl-C comes between them."""
 
 import contextlib
 import time
@@ -66,10 +64,7 @@ class LaunchBudget:
 
 
 class Workspace:
-    """The context, the queue and the buffers of the kernels on one device.
-
-    The queue may run commands out of order: every launch is awaited before the next command.
-    """
+    """The context, the queue, perhaps out of order, and the buffers of kernels on one device."""
 
     def __init__(self, context: cl.Context, queue: cl.CommandQueue) -> None:
         self.context, self.queue, self.device = context, queue, queue.device

@@ -243,10 +243,7 @@ class _Window:
 def _rows(
     budget: LaunchBudget, height: int, work: int, slack: int = 1
 ) -> Iterator[tuple[int, int, bool]]:
-    """Split rows into launches by the work of each, and time these: first, count, whether last.
-
-    A launch may take `slack` times as long as its work tells.
-    """
+    """Split rows into timed launches, of `slack` times their work at most: first, count, last."""
     row = 0
     while row < height:
         count = min(height - row, max(1, budget.pairs() // (slack * work)))

@@ -48,10 +48,7 @@ class LogSumExp:
         near: NearPairs | None = None,
         enough: float = 0.0,
     ) -> tuple[Float64, float]:
-        """Return T(g) with a proven bound of its rounding error, in nats.
-
-        Over near pairs powers, and exponents between tiles, are float32 where that is enough.
-        """
+        """Return T(g) with a proven bound of its rounding error, in nats."""
         constants, k = self._loop.constants, LOG2_E / epsilon
         pairs, float32 = None if near is None else near.pairs, None
         few = columns.centers.shape[1] < SLICED_FROM  # coordinates

@@ -137,11 +137,7 @@ class NearField:
     def _marked(
         self, clouds: _Clouds, pairs: TilePairs, part: range, log2_threshold: Float64
     ) -> tuple[NDArray[np.uint64], NDArray[np.uint16]]:
-        """Return the masks of the columns above a threshold, and the number of bits of each.
-
-        Both are for the pairs of a part's row tiles: see `TilePairs.masks`. Each row tile has a
-        threshold: the base-2 logarithm of the share of a row's sum, as far as the sum is known.
-        """
+        """Return masks and counts of the columns above each row tile's threshold (log2)."""
         (rows, columns, terms, guess, slopes, boxes), loop = clouds, self._loop
         kernel = loop.kernel("near_field.cl", "mark_columns", rows, listed=True)
         exponents = loop.with_levels(terms, rows, columns, pairs, part, precise=False)
@@ -177,10 +173,7 @@ def _complete(
     distances: Float64,
     tile: int,
 ) -> None:
-    """Give groups of rows without any column all columns of the nearest tile.
-
-    The estimates of their sums were far too large; the sums of these columns are better ones.
-    """
+    """Give groups of rows without any column all columns of the nearest tile."""
     for row_tile, group in np.argwhere(of_groups == 0):
         own = slice(starts[row_tile], starts[row_tile + 1])
         nearest = starts[row_tile] + int(np.argmin(distances[own]))

@@ -95,10 +95,7 @@ class NearestSeeds:
 
 
 def plant(seeds: Float32) -> SeedTree:
-    """Sort seeds, (K, 2), into a tree: along a Hilbert curve through the ranks of x and of y.
-
-    Ranks suit seeds of any distribution. What is found does not depend on the tree.
-    """
+    """Sort seeds, (K, 2), along a Hilbert curve through the ranks of x and of y, into a tree."""
     x, y = (np.ascontiguousarray(seeds[:, axis]) for axis in range(2))
     sorted_ = _in_order(_along_curve(_ranks(x), _ranks(y)))
     more = np.repeat(sorted_[-1:], -len(sorted_) % SEED_LEAF)

@@ -56,10 +56,7 @@ class SortedSplats(NamedTuple):
 
 
 def whole_groups(items: int) -> int:
-    """Return how many of some work-items to launch together where the driver chooses groups.
-
-    It makes groups of 1 for a prime number of items.
-    """
+    """Return how many items to launch together: drivers make groups of 1 for prime numbers."""
     return items // WHOLE_GROUPS * WHOLE_GROUPS or items
 
 
@@ -72,11 +69,7 @@ def sort_splats(
     margin: int,
     side: float,
 ) -> SortedSplats:
-    """Sort splats into bins without atomics: count in each slice, add the counts up, fill the bins.
-
-    `kernels` has "count_bins" and "fill_bins" of ``cl_kernels/particles.cl``. `margin` bins are
-    added on every side of the canvas; `side`, in pixels, is a power of two.
-    """
+    """Sort splats into bins without atomics: count in each slice, add up, fill the bins."""
     n = splats.count
     grid = bin_grid(shape, margin, side)
     bins = grid[0] * grid[1]

@@ -66,11 +66,7 @@ class PlanRowReductions:
         )
 
     def count(self, plan: Plan, precise: bool = False, most: float = np.inf) -> NDArray[np.int64]:
-        """Return how many pairs of each row of a plan are kept: (N,) array.
-
-        Where more than `most` are kept in all, counting ends early: some counts are too small then,
-        but their sum is above `most`.
-        """
+        """Return how many pairs of each row are kept, (N,), or of some if above `most` in all."""
         rows, tile = plan.rows, self._loop.constants.tile
         counts, total = np.zeros(rows.stride, np.int32), 0
         for section in self.sections(plan):
@@ -97,11 +93,7 @@ class PlanRowReductions:
         buffers: tuple[cl.MemoryObject, cl.MemoryObject],
         precise: bool = False,
     ) -> None:
-        """Write columns and log2 masses of the kept pairs of some row tiles to two buffers.
-
-        `part` is one that `fill_parts` yields. `starts` is the index of the first pair of each of
-        its rows in the buffers, and `step` the distance from one pair of a row to the next.
-        """
+        """Write columns and log2 masses of a part's kept pairs, from `starts` on in each row."""
         kernel = self._kernel("fill_plan_rows", plan, section, precise)
         first = self._loop.work.buffer(starts, np.uint32)
         self._launch(kernel, plan, section, part, precise, first, np.uint32(step), *buffers)
@@ -190,10 +182,7 @@ class PlanRowReductions:
             yield Section(within, pairs, exponents, (own, *thresholds))
 
     def _possible_pairs(self, plan: Plan) -> Iterator[tuple[range, TilePairs | None]]:
-        """Yield parts of the row tiles, and the pairs of tiles that can hold a kept pair there.
-
-        The pairs of tiles that bounds exclude contain no pair above a threshold, so none is lost.
-        """
+        """Yield row tiles, and all pairs of tiles that bounds do not exclude there."""
         rows, columns, f, g, epsilon, row_thresholds, column_thresholds, looked_at = plan
         if looked_at is not None:
             yield range(len(rows.centers)), looked_at

@@ -95,10 +95,7 @@ class Float32Pairs:
         self._spreads = np.where(massive.any(axis=1), highest - lowest, 0.0)
 
     def chosen(self, levels: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """Return for each listed pair, whose level is given, whether it is chosen.
-
-        Rounding to float32, here and of levels, is far less than the hundredth added to bounds.
-        """
+        """Return whether each listed pair is chosen, by its level."""
         tiles = self.pairs.tiles
         # What overflows is not chosen.
         with np.errstate(over="ignore", invalid="ignore"):

@@ -63,10 +63,7 @@ class RowLoop:
         bounded: int = 0,
         masked: bool = False,
     ) -> cl.Kernel:
-        """Return a kernel of `build.variants.KERNELS` for the dimension of some rows.
-
-        Its file is built at the first call; for other arguments see `BuildConstants.row_macros`.
-        """
+        """Return a kernel for the dimension of some rows; its file is built at the first call."""
         dimension = min(rows.centers.shape[1], SLICED_FROM)
         variant = Variant(file, dimension, precise, listed, bounded, masked)
         if variant not in self._kernels:
@@ -81,10 +78,7 @@ class RowLoop:
     def column_logits(
         self, columns: Cloud, potential: Float64, k: float, precise: bool = True
     ) -> tuple[cl.Buffer, Float64]:
-        """Split k g + log2 b into each tile's maximum (float64) and the rest (on the device).
-
-        Only kernels with precise exponents read what float32 rounds off.
-        """
+        """Split k g + log2 b into each tile's maximum (float64) and the rest (on the device)."""
         values = pad(
             (potential[columns.order] - columns.offsets) * k + columns.log2_weights,
             columns.stride,
@@ -105,11 +99,7 @@ class RowLoop:
         within: range | None = None,
         precise: bool = True,
     ) -> Exponents:
-        """Return the terms of the rows' exponents, over all pairs of tiles or the listed ones.
-
-        Only the row tiles `within` are needed. `precise` tells whether a kernel with precise
-        exponents may use them.
-        """
+        """Return the terms of exponents of the row tiles `within`, over all or listed pairs."""
         found = self.unleveled_exponents(rows, columns, potential, epsilon, precise)
         _, tile_max, row_level, k, *_ = found
         within = within or range(len(row_level))
@@ -136,10 +126,7 @@ class RowLoop:
     def dense_exponents(
         self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool = True
     ) -> Exponents:
-        """Return the terms for a dense sum, whose levels `launch` may have the device form.
-
-        Their row levels are known once all rows were launched.
-        """
+        """Return the terms for a dense sum, whose levels `launch` may have the device form."""
         many = len(rows.centers) * len(columns.centers) >= self.device_levels
         if not many or not self._forms_levels():
             return self.exponents(rows, columns, potential, epsilon, precise=precise)
@@ -212,10 +199,7 @@ class RowLoop:
     def column_shares(
         self, rows: Cloud, columns: Cloud, pairs: TilePairs | None = None, stacks: int = 1
     ) -> int:
-        """Return the number of work-groups along the columns, more than 1 if rows are few.
-
-        In each, as many `stacks` of work-items share the columns.
-        """
+        """Return the number of work-groups along the columns, more than 1 if rows are few."""
         least = self._windows(columns, pairs)
         if self.constants.width > 1:
             return least

@@ -68,11 +68,7 @@ class TileBoundKernel:
         k: float,
         lists: Iterable[TileLists],
     ) -> Iterator[BoundTiles]:
-        """Yield the bounds of listed pairs of tiles, in parts of the row tiles.
-
-        Each side has terms of rows and of columns; the largest of their bounds is taken. The cloud
-        may be any one of the dimension.
-        """
+        """Yield bounds of listed pairs of tiles, each the largest over the sides."""
         n_rows, n_columns = (len(terms.level) for terms in sides[0])
         kernel = self._loop.kernel("near_field.cl", "bound_tiles", cloud, listed=True)
         dimension = dimension_argument(cloud)
@@ -127,11 +123,7 @@ class TileBoundKernel:
         numbers: NDArray[np.uint32],
         count: int,
     ) -> NDArray[np.float32]:
-        """Return the bounds of some blocks of row tiles, from the block `first` on.
-
-        `shape` is (row tiles, column tiles). `table`, (blocks, 3), has begin and length of each
-        list in `numbers`, and the place of its first bound; there are `count` bounds.
-        """
+        """Return `count` bounds of blocks of row tiles; a table line is begin, length, place."""
         work, width = self._loop.work, self._loop.constants.width
         # Whole numbers of work-groups: the kernel leaves out what is beyond a list.
         size = ENTRIES * -(-int(table[:, 1].max()) // (ENTRIES * width)), len(table)

@@ -80,10 +80,7 @@ class TileBounds(NamedTuple):
 
 
 def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False) -> TileBounds:
-    """Return the terms of B from the columns' side, for the sum or for its largest term.
-
-    The values are c_j of the sorted points; SENTINEL where there is no mass.
-    """
+    """Return the columns' terms of B, for the sum or its largest term, from the sorted c_j."""
     c = _padded(values, cloud)
     present = c > 0.5 * SENTINEL
     half = cloud.fits.half_squares
@@ -97,10 +94,7 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
 
 
 def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
-    """Return the terms of B from the rows' side.
-
-    The values are R_i of the sorted points; -SENTINEL for rows whose sums are not needed.
-    """
+    """Return the rows' terms of B from the sorted R_i, -SENTINEL where none is needed."""
     r = _padded(values, cloud)
     present = r < -0.5 * SENTINEL
     half = cloud.fits.half_squares

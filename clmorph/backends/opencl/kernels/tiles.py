@@ -1,8 +1,4 @@
-"""Order points into compact tiles (a k-d tree's leaves).
-
-Differences inside a tile are small. Therefore float32 suffices for the exponents of the transport
-kernel, and the contribution of a whole tile can be bounded.
-"""
+"""Order points into compact tiles, a k-d tree's leaves, in which float32 differences suffice."""
 
 import numpy as np
 from numpy.typing import NDArray

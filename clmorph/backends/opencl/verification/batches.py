@@ -61,11 +61,8 @@ def softmin_batches(bench: Bench, variant: Variant) -> Findings:
 
 
 def batch_iterations(bench: Bench) -> Findings:
-    """Compare iterations of a batch, one problem of which stops, with those of each one alone.
-
-    `iterations.iterate` compares the latter with their definitions. Sums over shares of columns
-    may be added in another order.
-    """
+    """Compare iterations of a batch, one problem of which stops, with each one's own."""
+    # `iterations.iterate` compares those alone with their definitions.
     operations, problems = bench.operations, _problems(bench, 5)[:4]
     rates = 1.0 / (20 * EPSILON), 0.0
     masses = tuple(

@@ -58,11 +58,7 @@ def check(file: str, *kernels: str) -> Callable[[Run], Run]:
 
 @dataclass(frozen=True)
 class Bench:
-    """A backend, and the inputs on which it is compared.
-
-    A program is compared on a few points. With clouds of two `pictures`, which a whole device is
-    compared on, there are more of everything.
-    """
+    """A backend, and its inputs: a few points, or clouds of two `pictures` for a whole device."""
 
     operations: Any
     pictures: tuple[Cloud, Cloud] | None = None
@@ -78,10 +74,7 @@ class Bench:
     def clouds(
         self, dimension: int = 0, listed: bool = False, columns: int = LONG_ROW
     ) -> list["Clouds"]:
-        """Return clouds of a few tiles, a few long rows unless they are listed, and pictures.
-
-        Loops over long rows have more than 2^16 rounds, before which some drivers end them.
-        """
+        """Return clouds of a few tiles, a few rows of over 2^16 rounds, and pictures."""
         dimension = dimension or DIMENSION
         columns = max(331, min(columns, columns * SLICED_FROM // dimension))
         sizes = [(dimension, 150, 331, ""), (dimension, 5, columns, ", long rows")]
@@ -114,10 +107,7 @@ class Bench:
 
 
 def clustered(dimension: int, count: int, seed: int) -> Cloud:
-    """Return points in four clusters, with masses of many sizes, and none in one of them.
-
-    Some masses elsewhere are 0 too, so that whole tiles and single columns are without mass.
-    """
+    """Return points in four clusters with masses of many sizes; a cluster and others have none."""
     rng = np.random.default_rng((dimension, seed))
     # The same centers for all clouds of a dimension.
     centers = np.random.default_rng(dimension).random((4, dimension))

@@ -19,10 +19,7 @@ STEPS = 4.0, 1.1, 0.6, 0.02
 def grid_case(
     places: tuple[int, ...], cells: tuple[int, ...], step: float
 ) -> tuple[Float64, list[tuple[Float64, Float64]]]:
-    """Return exponents, some of them far below the others or empty, and coordinates of an axis.
-
-    Steps between coordinates are of any size, and descend along the first axis.
-    """
+    """Return exponents, many of them tiny or empty, and coordinates, the first axis descending."""
     rng = np.random.default_rng(11)
     exponents = rng.normal(0, 3, cells)
     exponents[rng.random(cells) < 0.2] -= 40.0
@@ -40,11 +37,9 @@ def grid_case(
 
 @check("grid_log_sum_exp.cl")
 def grids(bench: Bench, variant: Variant) -> Findings:
-    """Compare sums over grids.
-
-    In each pass exponents are rounded relative to their size, squared distances to the square of
-    the extent, and sums of m terms m times at most.
-    """
+    """Compare sums over grids."""
+    # In each pass exponents, squared distances and sums of m terms are rounded, relative to their
+    # size, to the square of the extent, and m times at most.
     unit = 2.0**-50 if variant.precise else 2 * UNIT
     for places, cells in (*SIZES, *(LARGE if bench.pictures else ())):
         for step in STEPS:

@@ -82,10 +82,7 @@ class _Problem(NamedTuple):
         return 1.0 / (1.0 + self.case.epsilon * self.rates[side])
 
     def half_step(self, side: int, other: Float64) -> tuple[Float64, Float64, Float64, Float64]:
-        """Return the potential of a side, its softmin, the shifted other one, and the masses.
-
-        The softmin is shifted by the s at which the dual no longer grows, found by bisection.
-        """
+        """Return a side's potential, softmin, the other shifted, masses; by bisection."""
         case, epsilon, damping = self.case, self.case.epsilon, self.damping(side)
         clouds = case.theirs if side == 0 else case.theirs[::-1]
         softmin = case.exact.softmin(*clouds, other, epsilon) + self.corrections[side]
@@ -135,11 +132,7 @@ def _step(problem: _Problem, g: Float64) -> _Step:
 
 
 def iterate(case: Clouds, balanced: int, over_stored: bool = False) -> Iterator[Finding]:
-    """Compare iterations with their definitions, extrapolated and taken back.
-
-    `balanced` is 1 if the source is balanced, plus 2 if the target is. Nothing is compared where
-    the host iterates, whose arithmetic is NumPy's.
-    """
+    """Compare iterations with their definitions; `balanced` is 1 (source) plus 2 (target)."""
     epsilon = case.epsilon
     rho = tuple(
         np.inf if balanced >> side & 1 else strength * epsilon

@@ -32,11 +32,8 @@ class MeanCase(NamedTuple):
     tolerance: float
 
     def rounding(self) -> float:
-        """Return the error that the mean may have.
-
-        A likeness is rounded relative to its exponent, of which up to 30 matters: after that all
-        cells count alike. Sums are rounded relative to their number of terms.
-        """
+        """Return the error that the mean may have."""
+        # A likeness is rounded relative to its exponent, of which up to 30 matters.
         likeness = 24 * (8 + self.guide.shape[2]) + 16
         terms = (2 * mean_radius(self.sigma) + 1) ** 2
         return float(2 * UNIT * (likeness + terms) * np.abs(self.values).max())
@@ -86,11 +83,8 @@ class PathCase(NamedTuple):
         return sum(largest(np.diff(self.field, axis=axis)) for axis in (0, 1))
 
     def rounding(self) -> float:
-        """Return the error that paths may have, infinite where the field may fold.
-
-        With slopes d and a steepness s, each round keeps (s + d) / (1 + s) of the error before it:
-        with d below 1 it does not grow.
-        """
+        """Return the error that paths may have, infinite where the field may fold."""
+        # With slopes d and a steepness s, a round keeps (s + d) / (1 + s) of the error before it.
         size, slope = largest(self.field), self.slope()
         steep = 1 + largest(with_steepness(self.field)[..., 2])
         each = UNIT * (20 * size + 4 * slope * (size + 1))
@@ -146,11 +140,8 @@ class LayerCase(NamedTuple):
         return LayerView(picture, layer, *self[3:])
 
     def rounding(self) -> float:
-        """Return the error that the layer may have.
-
-        The slope of a spline is at most the largest difference of coefficients, and that of a share
-        of torn pixels follows from where tears begin.
-        """
+        """Return the error that the layer may have."""
+        # A spline's slope is at most the largest difference of its coefficients.
         color, moved = map(largest, (self.coefficients, self.paths))
         changed = largest(self.change[..., :4])
         step = max(map(abs, self.to_picture.step))

@@ -41,11 +41,7 @@ def kept_pairs(bench: Bench, variant: Variant) -> Findings:
 
 
 def _kept(case: Clouds, precise: bool, limits: tuple[np.ndarray, ...], detail: str) -> Findings:
-    """Compare pairs above their thresholds.
-
-    The error is that of log pi_ij of pairs that both keep; of a pair that only one keeps, the
-    distance of its log pi_ij from the threshold.
-    """
+    """Compare pairs above their thresholds."""
     (n, m), log_plan, tolerance = case.shape, case.log_plan, 2 * case.tolerance(precise)
     limit = np.minimum(limits[0][:, None], limits[1])
     ours = *case.ours, case.softmin, case.g, case.epsilon, *limits, precise

@@ -34,10 +34,7 @@ class Splats:
 
 @dataclass(frozen=True)
 class Range:
-    """Where the sums of a frame may lie.
-
-    A kernel may be cut anywhere from a radius to one `sigma` more, which gives each sum a range.
-    """
+    """Where sums of a frame may lie, of kernels cut anywhere from a radius to a `sigma` more."""
 
     near: tuple[Float64, Float64]
     far: tuple[Float64, Float64]
@@ -58,10 +55,7 @@ class Range:
         return Range(near, far, flat[1])
 
     def excess(self, sums: tuple[Float64, Float64], relative: float) -> float:
-        """Return the largest distance of sums from their range, in units of the tolerance.
-
-        That is `relative`, as of `splat_tolerance`, plus KERNEL_ERROR of every kernel.
-        """
+        """Return the largest distance of sums from their range, in units of the tolerance."""
         tolerance = relative * self.far[1] + np.finfo(float).tiny + KERNEL_ERROR * self.kernels
         return max(
             largest(np.maximum(0.0, np.maximum(low - got, got - high)) / scale)
@@ -72,19 +66,13 @@ class Range:
 
 
 def splat_tolerance(count: int, chunk: int = 1024) -> float:
-    """Return the relative error that float32 sums of `count` splats may have.
-
-    It is that of the additions of a chunk and of chunks, and of an exponent of up to 30.
-    """
+    """Return the relative error of float32 sums of splats in chunks, with exponents to 30."""
     return UNIT * (chunk + count / chunk + 4 * 30)
 
 
 @cache
 def splats_of(many: bool, few: bool = False) -> Splats:
-    """Return splats on a canvas that no size of a block divides; a few where more add nothing.
-
-    A quarter lies in one bin, which holds more than MOMENT_CHUNK splats.
-    """
+    """Return splats on a canvas that no block divides, a quarter of them in one bin."""
     count, shape = (20_000, (61, 83)) if many else (5000, (29, 43))
     rng = np.random.default_rng(1)
     height, width = shape

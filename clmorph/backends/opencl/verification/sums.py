@@ -146,10 +146,8 @@ def _normalized(case: Clouds, variant: Variant) -> tuple[Any, Any]:
 
 
 def _of_moments(case: Clouds, variant: Variant) -> float:
-    """Return the tolerated error of moments relative to the clouds' size.
-
-    Errors of an exponent cancel in part, because moments are divided by the row's sum.
-    """
+    """Return the tolerated error of moments relative to the clouds' size."""
+    # Errors of an exponent cancel in part, because moments are divided by the row's sum.
     of_sum = UNIT * (32 + 4 * case.shape[1] ** 0.5)
     return of_sum + (0 if variant.precise else case.tolerance()) + LEFT_OUT * variant.listed
 

@@ -27,11 +27,8 @@ def colors_of(count: int, nodes: int) -> Float32:
 
 @check("color_table.cl")
 def tables(bench: Bench, variant: Variant) -> Findings:
-    """Compare colors after tables.
-
-    A place is rounded twice, relative to the number of nodes, and values change from node to node
-    by as much as the table holds; a sum has four terms.
-    """
+    """Compare colors after tables."""
+    # A place is rounded twice, relative to the number of nodes; a sum has four terms.
     count, sizes = (300_000, (17, 65)) if bench.pictures else (5003, (2, 3, 33))
     for nodes in sizes:
         table, colors = table_of(nodes), colors_of(count, nodes)
