@@ -142,7 +142,7 @@ class OpenCLOperations:
 
     def _take_turns(self, method: Callable[P, T]) -> Callable[P, T]:
         """Run one operation at a time on a device, and report failures as errors of clmorph."""
-        # A kernel stores its arguments until it is launched, so threads must not share it meanwhile.
+        # A kernel stores its arguments until it is launched: threads must not share it meanwhile.
         # The closure does not refer to `self`: such a cycle would have to wait for the garbage
         # collector.
         lock, description = self.lock, self.description
