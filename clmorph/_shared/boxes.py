@@ -9,8 +9,5 @@ _Real = TypeVar("_Real", np.float32, np.float64)
 
 
 def boxes_of_runs(points: NDArray[_Real], starts: Any = (0,)) -> NDArray[_Real]:
-    """Return the least and the largest coordinates of runs of points, (2, runs, D); one by default.
-
-    ``points.min(axis=0)`` takes ten times as long, because NumPy's inner loop then has D steps.
-    """
+    """Return the ends (2, runs, D) of runs of points, ten times faster than ``min`` and ``max``."""
     return np.stack((np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts)))

@@ -42,11 +42,7 @@ def is_standard_output(target: str | PathLike[str]) -> bool:
 
 
 def check_place(target: str | PathLike[str]) -> Path:
-    """Return the resolved path at which a result can be written, before its computation begins.
-
-    The target is a file or a folder, which may exist already. OutputError is raised if its folder
-    is missing or cannot be written, if it is write-protected, or neither a file nor a folder.
-    """
+    """Return the resolved path of a file or folder that can be written, or raise OutputError."""
     if not isinstance(target, str | PathLike) or not str(target):
         raise OutputError(f"{target!r} is not a path; expected one such as 'out.gif'")
     if str(target) == "-":
@@ -100,11 +96,7 @@ def check_file_place(target: str | PathLike[str]) -> Path:
 
 
 def home_of(place: Path) -> Path:
-    """Return the folder in which temporary files for a target are made, on its file system.
-
-    An existing target folder is returned itself: it may be the mount point of another disk. What
-    goes to standard output waits in the system's temporary folder.
-    """
+    """Return the folder of a target's temporary files, on its disk; a folder may be a mount."""
     if place == STANDARD_OUTPUT:
         return Path(tempfile.gettempdir())
     return place if place.is_dir() else place.parent
@@ -118,11 +110,7 @@ def is_empty(folder: Path) -> bool:
 def check_apart(
     written: Sequence[str | PathLike[str]], read: Sequence[str | PathLike[str]] = ()
 ) -> None:
-    """Raise InputError if an output replaces an input or another output, or a folder around one.
-
-    Links are followed. Different names of one file are recognized: hard links, and names that
-    differ only in case where the file system ignores case. Outputs need not exist.
-    """
+    """Raise InputError if an output is an input or another output by any name, or holds one."""
     outputs = [(Path(path), _resolved(path)) for path in written]
     for number, (name, place) in enumerate(outputs):
         for source in map(_resolved, read):
@@ -199,17 +187,10 @@ def atomic_path(target: str | PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def atomic_paths(targets: Sequence[str | PathLike[str]]) -> Iterator[list[Path]]:
-    """Yield temporary paths; the files written there replace all targets together.
+    """Yield temporary paths, whose files replace all targets together, or none; nothing else stays.
 
-    Each path lies in a temporary folder on the target's disk, has the target's ending and does not
-    exist yet. A target is a file, or a folder that is new or empty; the block may create other
-    files beside it. If the block raises an exception, KeyboardInterrupt included, or if one target
-    cannot be replaced, all targets stay as they were. No temporary file remains in any case. New
-    data are flushed to the disk before they replace a target. A replaced file keeps its permissions
-    and, where the system allows it, its owner.
-
-    What is for standard output is copied to it before the other targets are replaced. If its reader
-    has closed the pipe, they are replaced all the same, and then BrokenPipeError is raised.
+    A target is a file, or a folder that is new or empty. What is for standard output is copied
+    first: if its reader has gone, the others are replaced, and then BrokenPipeError is raised.
     """
     places = [check_place(target) for target in targets]
     with ExitStack() as stack:

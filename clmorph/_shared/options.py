@@ -79,11 +79,7 @@ class Options:
 
     @classmethod
     def layered(cls, layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-        """Merge several layers of options, by their names in Python, into one; later layers win.
-
-        An option also removes its alternatives from earlier layers. A layer that contradicts itself
-        is refused.
-        """
+        """Merge layers; later ones win, and options remove their alternatives from earlier ones."""
         settings: dict[str, Any] = {}
         for layer in layers:
             chosen = cls._check_alternatives(layer)
@@ -147,18 +143,7 @@ class Options:
         return settings
 
     def replace(self, **given: Any) -> Self:
-        """Return a copy of these options with some replaced.
-
-        Parameters
-        ----------
-        **given
-            Options by their names.
-
-        Raises
-        ------
-        InputError
-            The errors of the class.
-        """
+        """Return a copy of these options with some replaced."""
         return type(self)(**self.layered((self.as_dict(), given)))
 
     @classmethod

@@ -9,23 +9,14 @@ JOINERS = "\u200c\u200d"
 
 
 def printable(text: object, most: int = VALUE) -> str:
-    r"""Return a text in a form that is safe in a message and on a terminal.
-
-    A text of more than `most` characters loses its middle. Control characters, line breaks and
-    marks that reverse the direction of writing become escapes such as ``\x1b``. Spaces of any width
-    become plain spaces. Bytes of a name that are no text become U+FFFD.
-    """
+    """Return a text as one line that is safe on a terminal: controls escaped, a middle cut out."""
     # The text is shortened twice: first to avoid escaping a megabyte, and again after escaping.
     short = _shortened(str(text), most)
     return _shortened("".join(map(_shown, short)), most)
 
 
 def reason_of(error: BaseException, most: int = VALUE) -> str:
-    """Return the message of an error of the system or of a library as one short line.
-
-    The number and the file of an OSError are left out; an error without a message is named by its
-    class.
-    """
+    """Return an error's message as one line, without number and file, or else its class."""
     told = str(getattr(error, "strerror", None) or error)
     return printable(" ".join(told.split()) or type(error).__name__, most)
 

@@ -27,13 +27,10 @@ USUAL = (signal.SIG_DFL, signal.default_int_handler)
 
 
 class Terminated(BaseException):
-    """The user (Ctrl-C), the system or another program requests that this process ends.
+    """Ctrl-C, the system or another program ends this process; the exit code is 128 + `number`.
 
-    Ctrl-C raises this exception instead of KeyboardInterrupt, for two reasons. If a
-    KeyboardInterrupt passes through code compiled from a text (`dataclasses` and other modules run
-    such code on import), the interpreter treats it as unhandled and ends by the signal instead of
-    an exit code. And click prints an empty line for it. The exit code is 128 plus the signal's
-    `number`.
+    A KeyboardInterrupt in code that is compiled from a text, as by `dataclasses`, would count as
+    unhandled, and click would print an empty line for it.
     """
 
     def __init__(self, number: int) -> None:
@@ -42,11 +39,7 @@ class Terminated(BaseException):
 
 
 class Ending:
-    """The state of a run with respect to signals that end it.
-
-    `written` tells whether all files of the run have replaced their targets, and `partial`, in its
-    place, what a run of many parts has done so far.
-    """
+    """Whether all files of a run are `written`, or else what is done so far (`partial`)."""
 
     def __init__(self) -> None:
         self.written = False
@@ -67,11 +60,7 @@ class Ending:
             raise Terminated(number)
 
     def unraised(self, usual: Callable[[Any], object], what: Any) -> None:
-        """Replace `sys.unraisablehook`: raise the signal again soon if no exception can be raised.
-
-        A signal can arrive while Python calls a destructor or a callback of a weak reference.
-        Python then only prints the exception and continues.
-        """
+        """Raise a signal again soon that came in a destructor, which only prints its exceptions."""
         if what.exc_type is not Terminated:
             usual(what)
             return
@@ -113,11 +102,7 @@ _current: Ending | None = None
 
 @contextmanager
 def terminable() -> Iterator[Ending]:
-    """Convert signals that end a program to exceptions while the block runs.
-
-    A nested block and a block outside the main thread change nothing. The state is that of the
-    outermost block.
-    """
+    """Convert signals that end a program to exceptions, in the main thread and outermost block."""
     global _current
     if _current is not None or threading.current_thread() is not threading.main_thread():
         yield _current or Ending()

@@ -16,11 +16,7 @@ MOST_THREADS = 4
 def in_order(
     function: Callable[[_Item], _Result], items: Iterable[_Item]
 ) -> Iterator[tuple[_Item, _Result]]:
-    """Yield each item with the result of a function of it, computed a few items ahead.
-
-    The function is called in several threads at once; what it raises is raised here, at its item.
-    Items are taken in this thread.
-    """
+    """Yield each item with the result of a function that runs in threads, a few items ahead."""
     threads = min(MOST_THREADS, os.cpu_count() or 1)
     waiting: deque[tuple[_Item, Future[_Result]]] = deque()
     with ThreadPoolExecutor(threads) as pool:

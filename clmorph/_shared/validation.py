@@ -95,11 +95,7 @@ def check_progress(progress: Callable[..., None] | None) -> Callable[..., None]:
 
 
 def as_float(value: Any) -> float | None:
-    """Return a number as a float, infinity and NaN included; None if the value is no number.
-
-    The docstring of this module lists what counts as a number. An integer beyond the range of
-    float64 does not: it would become infinity, which has a meaning of its own for some options.
-    """
+    """Return a number as a float, NaN and infinity too; None if it is none, or beyond float64."""
     if np.ma.is_masked(value) or isinstance(value, bool | str | bytes | bytearray | complex):
         return None
     if isinstance(value, np.ndarray | np.generic):

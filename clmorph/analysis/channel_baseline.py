@@ -72,19 +72,7 @@ class ChannelMorph:
     extent: str
 
     def frame(self, t: float) -> NDArray[np.float32]:
-        """Render the frame at time t: (H(t), W(t), 3) array, sRGB in [0, 1].
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> from clmorph.analysis.channel_baseline import channel_morph
-        >>> baseline = channel_morph(left, right, n_frames=4, backend="numpy")
-        >>> baseline.frame(0.5).shape
-        (6, 6, 3)
-        """
+        """Render the frame at time t: (H(t), W(t), 3) array, sRGB in [0, 1]."""
         t = check_number("t", t, 0.0, 1.0)
         canvas = canvas_at(t, *self.shapes, self.extent)
         pixels = canvas.shape[0] * canvas.shape[1]

@@ -74,12 +74,7 @@ def draw_field(
     count: int = ARROWS,
     width: float = 0.0045,
 ) -> Any:
-    """Draw the displacement of pixels over a pale image, as arrows of true length.
-
-    The color of an arrow shows its length; `longest`, in pixels, has the last color. At most
-    `count` arrows lie along the longer side, and `width` is that of a shaft as a share of the width
-    of the axes. The result is the artist that a color bar needs.
-    """
+    """Draw displacement over a pale image as arrows of true length; return the artist."""
     show(axes, pale(image))
     step = step_of(moved.length.shape, count)
     # The grid of arrows is centered on the image.

@@ -434,10 +434,7 @@ def _ghost(frame: Array, first: Array, last: Array) -> float:
 
 
 def _best_patch(window: Array, picture: Array, row: int, column: int) -> tuple[float, Array]:
-    """Return the best correlation of a window with a patch near its place, and the patch.
-
-    The patch has mean 0 and norm 1, or less if it is flat.
-    """
+    """Return the best correlation of a window with a patch near it, and that patch, normed."""
     from skimage.feature import match_template
 
     rows, columns = (slice(max(0, at - REACH), at + WINDOW + REACH) for at in (row, column))

@@ -45,13 +45,7 @@ def frame_seconds(
     detail: Detail = RenderOptions.detail,
     labels: Labels = None,
 ) -> float:
-    """Estimate the seconds in which a morph makes particles of a plan and draws its frames.
-
-    Frames are drawn as by ``clmorph morph`` with this `detail`, and are not written. If there are
-    many particles, a sample of them and a quarter of this sample are drawn instead, and the time is
-    assumed to be linear in the number of particles. Without a plan, pairs are drawn at random from
-    its rows; `pairs` is the number that it keeps, one per row in a plan of means.
-    """
+    """Estimate the seconds of making particles of a plan of `pairs` and drawing frames by them."""
     if plan is None:
         draws = max(1, min(4096, SAMPLED_PAIRS // len(source)))
         plan = sample_plan(source, target, potentials, draws, backend=operations)

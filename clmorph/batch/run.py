@@ -19,12 +19,7 @@ GONE = (
 
 
 def run_jobs(client: Any, jobs: Sequence[tuple[Job, str]], device: str) -> Iterator[dict[str, Any]]:
-    """Yield the record of each job as it ends; `device` is what `clmorph.get_backend` takes there.
-
-    A worker that dies has its job done by another one. Dask gives a job up when several workers die
-    that had it, even if it was only waiting there. Such a job is done once more at the end, with no
-    other job beside it, and is recorded as failed if workers die again.
-    """
+    """Yield the record of each job as it ends; what workers died of is tried again, alone."""
     from distributed import as_completed
 
     waiting = iter(jobs)

@@ -24,11 +24,7 @@ SETTINGS = {
 
 
 def devices_of(device: str, workers: int | None) -> list[str]:
-    """Return the device of each of the local workers, which share the devices in turn.
-
-    "auto" is every physical device, unless ``CLMORPH_DEVICE`` or ``PYOPENCL_CTX`` names one, and
-    NumPy if no device is usable. Without a number there is one worker for each device.
-    """
+    """Return the device of each local worker, in turn; "auto" stands for all physical ones."""
     named = any(os.environ.get(name) for name in ("CLMORPH_DEVICE", "PYOPENCL_CTX"))
     if device not in ("auto", "opencl") or named:
         found = [device]
@@ -72,17 +68,13 @@ def quiet_dask() -> Iterator[None]:
 
 @contextmanager
 def local_client(devices: list[str], memory: str | None = None) -> Iterator[Any]:
-    """Yield the client of a new cluster on this machine, with a process for each device.
-
-    Its processes know one another by a certificate that lives in their memory alone, so that no
-    other user of the machine can send them work. Dask restarts a worker that exceeds its `memory`,
-    such as "2GB", or an equal share of the machine's memory if None.
-    """
+    """Yield the client of a new cluster on this machine, with a process for each device."""
     need_dask()
     from distributed import Client, Nanny, Scheduler, SpecCluster
     from distributed.security import Security
     from distributed.system import MEMORY_LIMIT
 
+    # A certificate in memory alone: other users of the machine cannot send work.
     security = Security.temporary()
     limit: Any = memory or MEMORY_LIMIT // len(devices)
     workers = {

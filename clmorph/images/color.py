@@ -83,10 +83,7 @@ def _in_parts(convert: Callable[[Array], Array], colors: Array) -> Array:
 
 
 def _without_negative_light(lab: Array) -> Array:
-    """Return CIELAB colors with b limited so that Z is not negative.
-
-    scikit-image clips Z too but warns about it, and a filter of warnings would affect all threads.
-    """
+    """Return CIELAB with b limited so that Z is not negative: scikit-image would warn."""
     lightness, green_red, blue_yellow = np.moveaxis(lab, -1, 0)
     # Z grows with (L + 16) / 116 - b / 200. The limit is slightly lower, so that
     # rounding cannot make Z negative.
@@ -95,12 +92,7 @@ def _without_negative_light(lab: Array) -> Array:
 
 
 def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return a metric of color M (paper, 5) as (3, 3) or (H * W, 3, 3), or raise InputError.
-
-    M is one symmetric, positive semidefinite (3, 3) matrix, or one for each pixel (H, W, 3, 3). A
-    map (H, W) of numbers stands for these times the identity. The shape (3, 3) is always one
-    matrix.
-    """
+    """Return a metric of color (paper, 5), one or for each pixel, as (3, 3) or (H * W, 3, 3)."""
     values = as_floats("color_metric", metric, "an array (3, 3), (H, W, 3, 3) or (H, W)")
     constant = values.shape == (3, 3)
     if values.shape == shape and not constant:

@@ -28,11 +28,7 @@ BAND_SHARE = 0.99
 
 
 def intrinsic_spacing(image: Array) -> float:
-    """Return the side, in pixels, of the smallest detail of an image (H, W, C), at least 1.
-
-    It is the side of the blocks of an enlarged sprite, even if compression has left artifacts, and
-    half the shortest period in the spectrum of any other image.
-    """
+    """Return the side, in pixels, of the smallest detail of an image (H, W, C), at least 1."""
     return max(1.0, float(_block_side(image)), _half_period(image))
 
 

@@ -36,13 +36,7 @@ def background_color(colors: Array) -> Array | None:
 
 
 def foreground(colors: Array, alpha: Array | None = None) -> BoolArray:
-    """Return which pixels stand before a transparent or flat background: (H, W) array of bool.
-
-    If opacity `alpha` is given, the background is what is transparent. All pixels of the
-    background's color belong to it, those inside a ring too. A pixel of an edge belongs to the side
-    to which its color or its opacity is nearer; pixel art has no such edges. If there is no
-    background, or nothing before it, all pixels belong to the foreground.
-    """
+    """Return which pixels (H, W) stand before a transparent or flat ground; all if none do."""
     from scipy.ndimage import binary_propagation, maximum_filter, minimum_filter
 
     color = background_color(colors) if alpha is None else None
@@ -72,11 +66,7 @@ def foreground(colors: Array, alpha: Array | None = None) -> BoolArray:
 
 
 def shares_in_mixtures(colors: Array, background: Array, which: BoolArray) -> Array:
-    """Return the share of its strongest neighbor in each pixel that mixes it with the background.
-
-    The share (n,), of the n pixels `which`, is 1 where a pixel is no mixture: off the line between
-    both colors, and nearly as far from the background.
-    """
+    """Return the strongest neighbor's share (n,) in each pixel `which`; 1 if it is no mixture."""
     half = WINDOW // 2
     rows, columns = np.nonzero(which)
     own = colors[which] - background
@@ -133,11 +123,7 @@ def flat_regions(colors: Array, alpha: Array, within: BoolArray, n_colors: int) 
 
 
 def palette(colors: Array, n_colors: int) -> tuple[IntArray, Array]:
-    """Return the nearest of a few colors for each color (N, 3), by maximum coverage and k-means.
-
-    The numbers (N,) of the nearest count from 0 without gaps; colors that are `ALIKE` share one.
-    The colors (N, 3) that stand for each are those before alike ones are joined.
-    """
+    """Return the number (N,) of the nearest of a few colors for colors (N, 3), and that one."""
     from PIL import Image
 
     levels = np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)

@@ -17,11 +17,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def into_gamut(coordinates: Array, space: str) -> Array:
-    """Convert coordinates (N, 3) to sRGB, as `from_space` does, with the hue kept.
-
-    A color that sRGB cannot show is moved straight towards the gray of its lightness until it can.
-    Where single channels were clipped instead, bright orange would turn yellow.
-    """
+    """Convert coordinates (N, 3) to sRGB; colors outside move towards their gray, and keep hue."""
     colors = from_space(coordinates, space)
     # A color that was clipped has a channel at a bound.
     edge = np.flatnonzero(((colors <= 0.0) | (colors >= 1.0)).any(axis=1))

@@ -32,13 +32,7 @@ FLAT_COLORS, FLAT_SHARE = 8, 0.9
 
 
 def kind_of(image: AnyArray) -> Kind:
-    """Return the kind of a picture.
-
-    A sprite consists of equal blocks, or is small with few colors; an enlarged sprite with
-    artifacts of compression is none. A drawing has equal neighbors almost everywhere, and in
-    addition its foreground is flat, or consists of few colors as text does, so that a photographed
-    object on white is none. Under a transparent background a foreground without grain suffices.
-    """
+    """Return the kind of a picture: of blocks, of flat parts before its background, or other."""
     if _is_sprite(image):
         return "sprite"
     colors, alpha = split_alpha(_reduced(image))

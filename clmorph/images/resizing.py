@@ -26,12 +26,7 @@ def resized(
     *,
     weighted: bool = False,
 ) -> Array:
-    """Return an image (H, W, C) at another size, linearly interpolated, smoothed where it shrinks.
-
-    The largest value of integers becomes 1. Beyond the border lies the image mirrored at its
-    outermost pixels ("mirror"), or these ("edge"). With `weighted` colors are multiplied by the
-    fourth channel, opacity, and stay so.
-    """
+    """Return an image (H, W, C) as `as_unit` does, at another size: linear, smoothed if smaller."""
     (height, width), channels = image.shape[:2], image.shape[2]
     if (height, width) == shape:
         return as_unit(image, weighted=weighted)

@@ -23,11 +23,7 @@ def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tupl
 
 
 def enlargement(canvas: Any, shapes: Iterable[tuple[int, ...]]) -> float:
-    """Return the factor by which a canvas enlarges the frame that it enlarges least.
-
-    It is at most 1 if a frame is as large as the canvas, and 1 for canvases with a name, whose size
-    comes from the frames.
-    """
+    """Return the factor by which a canvas enlarges the frame that it enlarges least; 1 if named."""
     if isinstance(canvas, str):
         return 1.0
     width, height = canvas
@@ -37,11 +33,7 @@ def enlargement(canvas: Any, shapes: Iterable[tuple[int, ...]]) -> float:
 def enlargement_note(
     style: FrameStyle, shapes: Iterable[tuple[int, ...]], pixelated: bool, size: int | None
 ) -> str | None:
-    """Return a note for a user whose canvas enlarges all frames by at least `ENLARGED`, or None.
-
-    `size` is the longer side in pixels to which pictures were reduced (``--size``), None if they
-    were not. Pixel art gets no note, because it stays sharp.
-    """
+    """Return a note if a canvas enlarges smooth frames much; `size` is the option ``--size``."""
     shapes = list(shapes)
     factor = enlargement(style.canvas, shapes)
     if factor < ENLARGED or style.is_nearest(pixelated):
@@ -160,11 +152,7 @@ class Framing:
 
 
 def _resampled(picture: "Image", size: tuple[int, int], how: "Resampling") -> "Image":
-    """Return an RGBA picture at another size.
-
-    Colors are multiplied by opacity for it, so that those of transparent pixels do not show at
-    edges. Opacity is clipped only after the division by it, or a light rim would remain.
-    """
+    """Return an RGBA picture at another size, with colors weighted by opacity."""
     from PIL import Image
 
     pixels = np.asarray(picture, np.float32)
@@ -175,5 +163,6 @@ def _resampled(picture: "Image", size: tuple[int, int], how: "Resampling") -> "I
     )
     seen = alpha >= 0.5
     colors = [np.divide(plane, alpha, out=np.zeros_like(plane), where=seen) for plane in weighted]
+    # Opacity is clipped only after the division by it, or a light rim would remain.
     made = np.clip(np.rint(np.dstack((*colors, alpha))), 0, 255).astype(np.uint8)
     return Image.fromarray(made)

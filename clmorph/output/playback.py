@@ -16,10 +16,7 @@ SMOOTH = 30
 
 
 def eased(times: NDArray[np.float64], ease: Ease) -> NDArray[np.float64]:
-    """Return the times of the morph, never decreasing, that frames at evenly spaced times show.
-
-    "in" starts slowly, "out" ends slowly, "smooth" does both; 0 and 1 are unchanged.
-    """
+    """Return the times of the morph that frames at even times show; 0 and 1 are unchanged."""
     PlaybackOptions.checked("ease", ease)
     if ease == "smooth":
         return times**2 * (3.0 - 2.0 * times)
@@ -48,11 +45,7 @@ class Motion:
         cls, duration: float, holds: NDArray[np.bool_], hold: float = PlaybackOptions.hold,
         loop: Loop = PlaybackOptions.loop,
     ) -> "Motion":  # fmt: skip
-        """Return the motion whose one round takes `duration` seconds, holds included.
-
-        `holds` marks the frames that are pictures. InputError is raised if the holds alone take as
-        long, or the frame rate would be outside 0.1 to 240.
-        """
+        """Return the motion whose one round takes `duration` seconds, with the holds at `holds`."""
         check_number("duration", duration, 0.0, 1e6, open_low=True)
         trial = cls(1.0, hold, loop).played(holds)
         held = sum(seconds - 1.0 for _, seconds in trial)
@@ -75,11 +68,7 @@ class Motion:
         return Fraction(self.fps).limit_denominator(1001)
 
     def rate_for(self, seconds: list[float]) -> Fraction:
-        """Return the frame rate at which each duration (s) is a whole number of frames.
-
-        It is `rate` if that suffices, otherwise the first multiple of it, at least `SMOOTH`, at
-        which no duration is off by more than half a frame.
-        """
+        """Return `rate`, or a multiple at which no duration (s) is off by over half a frame."""
         frames = np.array(seconds) * float(self.rate)
         if np.all(np.abs(frames - np.round(frames)) < 0.01):
             return self.rate

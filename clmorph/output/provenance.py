@@ -15,12 +15,7 @@ START = 64
 
 
 def read_parameters(path: Path) -> dict[str, Any]:
-    """Return the parameters that a file of clmorph was made with, or raise InputError.
-
-    `path` is a file of any format that `clmorph.save` or `clmorph.write_image` writes, a folder of
-    frames, or a recipe in JSON; its content decides which. At most some megabytes of it are read,
-    and no pixels.
-    """
+    """Return the parameters in a file, a folder of frames or a recipe, or raise InputError."""
     if path.is_dir():
         path = min(path.glob("frame-*"), default=path)
         if path.is_dir():

@@ -91,11 +91,7 @@ def recorded(
     folder: Path | None = None,
     progress: StageProgress | None = None,
 ) -> Iterator[Recording]:
-    """Render morphs one after the other, each frame once, into a temporary file in `folder`.
-
-    Only one morph is in memory at a time, unless they are kept (`keep`) for formats that need them.
-    With `exact` frames are kept as floats. `n_morphs` is for the names of stages.
-    """
+    """Render morphs one by one into a temporary file in `folder`; `keep` holds them in memory."""
     report = progress or (lambda stage, share: None)
     times: list[float] = []
     holds: list[bool] = []

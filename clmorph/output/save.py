@@ -47,11 +47,7 @@ __all__ = ["FORMATS", "PACE", "SIZES", "Output", "metadata_of", "recorded_for", 
 
 
 class Output:
-    """The path and format of a file to be written, checked before any computation.
-
-    The name `format` of `FORMATS` overrides the path's ending. OutputError is raised if the ending
-    is unknown, the path cannot be written to, or a library that the format needs is missing.
-    """
+    """The path and format of a file to be written, both checked; `format` overrides the ending."""
 
     def __init__(self, path: str | PathLike[str], format: str | None = None) -> None:
         if not is_path(path):
@@ -252,10 +248,7 @@ def held_frames_of(chain: Sequence[FrameSequence]) -> NDArray[np.bool_]:
 
 
 def metadata_of(morphs: Sequence[FrameSequence], options: Options) -> dict[str, Any]:
-    """Return the recipe that a file holds: of all morphs if some were made with other options.
-
-    `options` are those of the first morph, with those given to `save`; landmarks may differ.
-    """
+    """Return the recipe of all morphs; `options` are the first one's, with those of `save`."""
     own = {*specifications(PlaybackOptions), *specifications(FrameStyle), LANDMARKS}
     each = [
         {name: value for name, value in morph.options.as_dict().items() if name not in own}

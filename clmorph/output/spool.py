@@ -20,14 +20,7 @@ IN_MEMORY = 128 * 1024**2
 
 
 class Spool(Items[NDArray[Any]]):
-    """A sequence of arrays of any shapes and one dtype: a few in memory, more in a temporary file.
-
-    The file is removed at the end of the `with` block. Where the operating system supports files
-    without names it has none, so that its disk space is freed however the process ends. Elsewhere
-    (Windows, network disks) it has one; therefore it lies in a staging folder in `folder`, which
-    the next run removes if this process is killed. Without `folder` it lies in the system's
-    temporary folder.
-    """
+    """A sequence of arrays of one dtype, for a `with` block: a few in memory, more in a file."""
 
     def __init__(self, dtype: Any, folder: Path | None = None) -> None:
         self._dtype = np.dtype(dtype)
@@ -49,6 +42,7 @@ class Spool(Items[NDArray[Any]]):
 
     def _on_disk(self, memory: io.BytesIO) -> IO[bytes]:
         """Return a temporary file with the bytes from memory, positioned at its end."""
+        # Where files need names, the next run removes the folder of a killed process.
         place = self._folder and self._stack.enter_context(staging_folder(self._folder))
         file = tempfile.TemporaryFile(dir=place)  # noqa: SIM115 (the stack closes it)
         self._stack.callback(file.close)

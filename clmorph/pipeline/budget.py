@@ -51,12 +51,7 @@ def make_plan(
     max_memory: float | None = None,
     log_threshold: float | None = None,
 ) -> Plan | Barycentric:
-    """Return the plan between two images' pixels in the requested form, or in one that fits.
-
-    A MemoryWarning names the form that replaces all pairs if these do not fit into `max_memory`
-    (None: `default_memory`). Draws and means represent the whole plan, so that `log_threshold` does
-    not apply to them; a PruningWarning tells where it drops much mass.
-    """
+    """Return the plan between pixels as requested, or, with a warning, in a form that fits."""
     if sample is None and not barycentric:
         way = choose_way(
             parts, solved, operations, max_particles, max_memory, log_threshold, stacklevel=4
@@ -138,11 +133,7 @@ def check_ways(
     max_memory: float | None = None,
     log_threshold: float | None = None,
 ) -> None:
-    """Check before the solve that the particles can be made in the requested form.
-
-    They cannot if there would be too many draws from a block, if not even the smallest form would
-    fit into `max_memory`, or if no pair could exceed `log_threshold`.
-    """
+    """Check before the solve that particles can be made in the requested form and memory."""
     if log_threshold is not None:
         check_reachable(log_threshold, *as_pair(source.coarse, target.coarse))
     finest = finest_pixels(source, target)
@@ -196,11 +187,7 @@ def choose_way(
     log_threshold: float | None = None,
     stacklevel: int = 2,
 ) -> dict[str, Any]:
-    """Return options of `make_plan` that respect both limits; none if all pairs may be kept.
-
-    They are ``{}``, ``{"sample": k}`` or ``{"barycentric": True}``; they come with a MemoryWarning
-    if it is `max_memory` that not all wanted particles fit into.
-    """
+    """Return options of `make_plan` within both limits; {} if all pairs may be kept."""
     source, target = parts[0].blocks
     finest = finest_pixels(source, target)
     limit = default_memory(operations) if max_memory is None else max_memory

@@ -25,10 +25,7 @@ Size = tuple[int, int]
 
 
 class Frames:
-    """Pictures of one size: one that stays (`still`), or those of a clip, once.
-
-    `rate` is in frames a second, None where nobody says it. `path` is that of a clip in a file.
-    """
+    """Pictures of one size: a `still`, or those of a clip, once, at a `rate` that can be None."""
 
     def __init__(self, name: str, given: Any, max_pixels: int) -> None:
         self._name, self._max_pixels = name, max_pixels

@@ -61,17 +61,7 @@ def color_map(
     operations: Operations,
     report: Report,
 ) -> ColorMap:
-    """Transport one distribution of colors into another one, and return the map of colors.
-
-    The step of a color x is that of the Sinkhorn divergence, T(x) - T_own(x) (see
-    `Potentials.map`), which vanishes between equal distributions. If `reach` is given it is
-    multiplied by the share of the mass at x that moves and is not destroyed,
-
-        min(1, exp(-(f - f_own)(x) / rho)),
-
-    so that colors without a counterpart within reach stay. Blur and reach are in the unit of
-    colors.
-    """
+    """Transport a distribution of colors into another one, and return the map of colors."""
     a, b = (_clusters(measure, SIDE * blur) for measure in (source, target))
     cross = sinkhorn(
         a, b, blur, reach, TOLERANCE, backend=operations,
@@ -99,7 +89,7 @@ def _steps(
     solved: tuple[Potentials, Potentials],
     operations: Operations,
 ) -> Array:
-    """Return the debiased steps of colors (K, 3)."""
+    """Return debiased steps, T - T_own, of colors (K, 3), times min(1, exp(-(f - f_own) / rho))."""
     cross, own = (
         entropic_map(nodes, measure, each.g, each.epsilon, operations, each.precise)
         for measure, each in zip(measures[::-1], solved, strict=True)

@@ -21,11 +21,7 @@ WIDTH = 96
 def documented(
     options: type[Options], only: tuple[str, ...] | None = None, usual: Options | None = None
 ) -> Callable[[Function], Function]:
-    """Return a decorator that adds options to a function's docstring and signature.
-
-    The function takes them as ``**given``: those named in `only`, or all, with the defaults of the
-    class or those of `usual`.
-    """
+    """Return a decorator that adds options (`only` these) to a docstring and a signature."""
 
     def default_of(each: Any) -> Any:
         return each.default if usual is None else getattr(usual, each.name)

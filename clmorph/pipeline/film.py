@@ -21,18 +21,7 @@ class Film(FrameSequence):
     _renderer: Any
 
     def canvas(self, t: float) -> Canvas:
-        """Return the canvas at time t.
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-        >>> morph.canvas(0.5).shape
-        (6, 6)
-        """
+        """Return the canvas at time t."""
         canvas: Canvas = self._renderer.canvas(check_number("t", t, 0.0, 1.0))
         return canvas
 

@@ -82,12 +82,7 @@ def estimate(
     frame: int = 0,
     carried: int = 0,
 ) -> Memory:
-    """Estimate the memory of a morph with this number of lifted pixels of both pictures.
-
-    `blocks` are the numbers of points that are solved, in `dimension` coordinates; `particles`
-    travel, besides one for each pixel that stays; `frame` pixels are drawn from particles, and
-    `carried` are those of both pictures if smaller copies are lifted. Kept frames are not included.
-    """
+    """Estimate the memory of a morph with this number of lifted pixels of both pictures."""
     points = sum(blocks)
     host = PIXEL * pixels + BLOCK * points + CARRIED * carried
     host += int((PARTICLE + (ALPHA if alpha else 0)) * particles)
@@ -115,11 +110,7 @@ def expected(
     particles: float | None = None,
     chained: bool = False,
 ) -> Memory:
-    """Estimate the memory of a morph of two fitted pictures with these shapes (H, W, C).
-
-    `process` is the result of `process_memory`. The number of `particles` is predicted if it is
-    not given. A morph is `chained` if the process makes several.
-    """
+    """Estimate the memory of a morph of fitted pictures (H, W, C), one of several if `chained`."""
     lifted = lifted_shapes(shapes, options, maps)
     carried = sum(height * width for height, width, _ in shapes) if lifted != list(shapes) else 0
     sides = [block_side(shape[:2], options.solve_size) for shape in lifted]

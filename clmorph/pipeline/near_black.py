@@ -41,21 +41,14 @@ class NearBlack(NamedTuple):
         return np.clip(apart, 0.0, 1.0)[:, None]
 
     def limited(self, colors: Array, moved: Array) -> Array:
-        """Return what a map makes of colors, (N, 3), limited around its values near black.
-
-        At the distance d from colors near black a limited color lies within `SLOPE_BETWEEN` d of
-        the line. So the result is continuous, and elsewhere it is the map.
-        """
+        """Return what a map makes of colors, (N, 3), limited around the line, continuously."""
         line = self.mean + self.slope * (colors - self.middle)
         far = self.far(colors)
         return np.clip(np.clip(moved, line - far, line + far), 0.0, 1.0)
 
 
 def near_black(colors: Array, weights: Array, move: Callable[[Array], Array]) -> NearBlack:
-    """Fit a line to what a map makes of a picture's colors near black: (N, 3) colors, (N,) weights.
-
-    The slope is that of the least squares, but at least 0 and at most `SLOPE`.
-    """
+    """Fit a line of slope 0 to `SLOPE` to what a map makes of colors (N, 3) near black."""
     dark = colors.max(axis=1) <= DARK
     grays = np.repeat(np.linspace(0.0, DARK, GRAYS)[:, None], 3, axis=1)
     before = np.concatenate((colors[dark], grays))

@@ -39,11 +39,7 @@ POINTS = 4096
 def optimal_curve(
     morph: Morph, *, progress: Callable[[float], None] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the kernel widths, times and pixels, whose frames are nearest to the particles.
-
-    The morph's own widths are ignored. A morph without a divergence is refused: one whose reach is
-    a pair, or whose metric of color is a map.
-    """
+    """Return the kernel widths, times and pixels, whose frames are nearest to the particles."""
     report = check_progress(progress)
     check_frame_sequence(morph)
     if morph.source.has_metric_map or isinstance(morph.potentials.reach, tuple):

@@ -32,12 +32,7 @@ def predict_pairs(
     seed: int = 0,
     backend: Backend = "auto",
 ) -> int:
-    """Predict how many pairs `clmorph.transport_plan` will keep, from a sample, in O(N + M).
-
-    Samples of `rows` rows and of as many columns give the pairs kept for either, and their
-    intersections those kept for both; with `log_threshold` rows are enough. The result is exact if
-    the sample holds everything.
-    """
+    """Predict how many pairs `clmorph.transport_plan` keeps, from sampled rows and columns."""
     source, target = as_pair(source, target)
     relative = PruningOptions.checked("relative", relative)
     log_threshold = PlanOptions.checked("log_threshold", log_threshold)

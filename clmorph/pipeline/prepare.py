@@ -45,10 +45,7 @@ def as_options(
     *,
     draft: bool = False,
 ) -> MorphOptions:
-    """Return the options of a call, from an options object, a preset and options by name.
-
-    The images choose the preset "auto". An object together with `preset` or `draft` is refused.
-    """
+    """Return a call's options: those of an object or a preset, replaced by those by name."""
     if options is None:
         if preset is None or (isinstance(preset, str) and preset == AUTO):
             preset = recognized(images)
@@ -69,11 +66,7 @@ def as_options(
 def fitted(
     images: Sequence[AnyArray], options: MorphOptions, beside: Maps = NO_MAPS
 ) -> list[Picture]:
-    """Return images of `as_images` downscaled to the size at which they are drawn.
-
-    A map of weights or metrics must have the shape of its image, so an image that has one must not
-    be reduced. Labels and features are reduced with it.
-    """
+    """Return images at the size at which they are drawn; InputError if one with a map shrinks."""
     weights, color_metric = beside.weights, beside.color_metric
     maps = weights if isinstance(weights, tuple | list) else (None, None)
     metric = color_metric is not None and as_array(
@@ -97,12 +90,7 @@ def fitted(
 def small_copies(
     images: Sequence[Picture], options: MorphOptions, beside: Maps = NO_MAPS
 ) -> list[Picture] | None:
-    """Return smaller copies of fitted images, whose pixels become particles in place of theirs.
-
-    The result is None if particles draw detail, if the transport is solved between pixels or more
-    blocks than copies have pixels, or if images are small, have opacity, or come with maps of their
-    pixels.
-    """
+    """Return smaller copies, whose pixels become particles for large pictures; None otherwise."""
     if not takes_copies([image.shape for image in images], options, beside):
         return None
     return [fit(image, MOST_CARRIED) for image in images]
@@ -131,10 +119,7 @@ def lifted_shapes(
 
 
 def _reduced(image: AnyArray, options: MorphOptions, mapped: bool) -> Picture:
-    """Return an image at the size at which it is drawn; blocks of a sprite become pixels.
-
-    With a map of its pixels (`mapped`) blocks stay what they are.
-    """
+    """Return an image as it is drawn; blocks of a sprite become pixels unless they are `mapped`."""
     if options.size is None:
         return as_unit(image)
     if options.detail == "pixels" and not mapped:

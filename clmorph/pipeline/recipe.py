@@ -60,13 +60,7 @@ def recipe(
     beside: Mapping[str, Any] | None = None,
     mixes: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return the recipe of a file, which suffices to make the file again.
-
-    `images` has name and digest of each picture that is a file, and `beside` those of the files
-    beside the pictures by what they are (`BESIDE`), or the word "auto" for labels that are found.
-    `arrays` names further input arrays, which a recipe does not contain. `mixes` is what mixes
-    show: one of `SHOWN` and its value.
-    """
+    """Return a file's recipe; `images` and `beside` hold `picture_entries`, `mixes` of `SHOWN`."""
     found: dict[str, Any] = {"clmorph": __version__, "options": options.outside()}
     command = next((name for name, kind in COMMANDS.items() if isinstance(options, kind)), "morph")
     found |= {} if command == "morph" else {COMMAND: command}
@@ -81,11 +75,7 @@ def recipe(
 def options_of(
     settings: Mapping[str, Any], where: str, options: type[Options] = MorphOptions
 ) -> dict[str, Any]:
-    """Return the options of a file by their names in Python, with the preset if it names one.
-
-    `settings` has their names outside, with dashes or underscores; `where` is the name of the file
-    in error messages. Only options of a morph have presets.
-    """
+    """Return a file's options by their names in Python; `where` is its name in messages."""
     known = {
         outside_name(name, each): (name, each) for name, each in specifications(options).items()
     }
@@ -120,12 +110,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_recipe(path: Path) -> dict[str, Any]:
-    """Read the recipe in a file that clmorph has written.
-
-    It has the key ``options``, with names outside, and optionally ``images``, ``labels``,
-    ``features``, ``mask``, ``lut``, ``arrays``, ``command`` and ``device``. A recipe
-    of several morphs with different options is refused.
-    """
+    """Read the recipe in a file that clmorph has written; one of several morphs is refused."""
     found = read_parameters(path)
     if not isinstance(found.get("options"), dict):
         several = "morphs that were made with different options" if "morphs" in found else "none"
@@ -189,11 +174,7 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
 
 
 def picture_entries(images: Sequence[Path], folder: Path | None = None) -> list[dict[str, Any]]:
-    """Return the entries of a recipe about its pictures.
-
-    The images' folders, relative to `folder`, inform people; the command line uses only the file
-    names. Without `folder` none are written, which suits files that are shared.
-    """
+    """Return a recipe's entries about pictures, with folders relative to `folder` if given."""
     return [
         {"file": path.name, "sha256": digest(path)}
         | ({} if folder is None else {"folder": _folder(path, folder)})

@@ -112,10 +112,7 @@ def recolored(
     backend: Backend,
     report: StageProgress,
 ) -> tuple[Array, Look | None]:
-    """Recolor a picture, (H, W, 3 or 4); the parameters are checked ones of `recolor`.
-
-    The look is returned as well; None if no color changes.
-    """
+    """Recolor a picture by checked arguments; the look is returned too, None if nothing changes."""
     found = pixels.copy()
     mask = None if mask is None else feathered(mask, options.feather)
     look = look_of(pixels, like, options, mask, get_backend(backend), report)

@@ -129,26 +129,12 @@ class Morph(Film):
 
     @property
     def given_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Shapes (height, width) of the images as they were given, in whose pixels landmarks are.
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> image = np.eye(12)
-        >>> morph = clmorph.morph(image, image, size=6, n_frames=2, backend="numpy")
-        >>> morph.given_shapes, morph.source.shape
-        (((12, 12), (12, 12)), (6, 6))
-        """
+        """Shapes (height, width) of the images as given; landmarks are in their pixels."""
         return self.shapes or (self.canvas(0.0).shape, self.canvas(1.0).shape)
 
     @property
     def solved_sizes(self) -> tuple[int, int]:
-        """Numbers of solved blocks along the longer sides of source and target.
-
-        The side of a block is a power of two of pixels, so there can be fewer blocks than the
-        option `solve_size` allows.
-        """
+        """Numbers of solved blocks along the longer sides: at most the option `solve_size`."""
         most = self.options.solve_size
         return solved_size(self.source.shape, most), solved_size(self.target.shape, most)
 

@@ -80,11 +80,7 @@ class Finder:
 
 
 def figures(images: Sequence[Array]) -> list[BoolArray] | None:
-    """Return what stands before the background in two images, (H, W) each.
-
-    An image with opacity shows its figure itself; in others a person is sought, and InputError is
-    raised if the extra ``faces`` is missing. The result is None if an image has no figure.
-    """
+    """Return what stands before the ground in two images, (H, W): opaque parts, or a person."""
     found = []
     for image in images:
         if image.shape[2] == 4:

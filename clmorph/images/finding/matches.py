@@ -50,11 +50,7 @@ def features(copy: Copy) -> Features:
 
 
 def matches(one: Features, other: Features) -> tuple[Array, Array]:
-    """Return places of both pictures that show the same, (n, 2) in pixels; n is 0 if nothing does.
-
-    Lowe (2004), "Distinctive image features from scale-invariant keypoints", International Journal
-    of Computer Vision 60(2), 91-110.
-    """
+    """Return places (n, 2) of both pictures that show the same (Lowe, 2004); n can be 0."""
     from skimage.feature import match_descriptors
 
     none = np.zeros((0, 2)), np.zeros((0, 2))

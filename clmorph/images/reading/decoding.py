@@ -27,13 +27,7 @@ Decoded = tuple[AnyArray, list[str]]
 
 
 def decode(file: Path, max_pixels: int) -> Decoded:
-    """Decode the first picture of a file of at most `max_pixels`.
-
-    The array (H, W), (H, W, 3) or (H, W, 4) is sRGB in a form that `as_pixels` accepts; floats are
-    not checked. Each note continues the sentence "<name of the file> has". FileError is raised if
-    the file is missing, too large, or of a kind that is not read; a damaged one raises any
-    exception.
-    """
+    """Decode the first picture to sRGB that `as_pixels` takes; notes continue "<file> has"."""
     with Reader(file) as stream:
         if stream.read(4) in tiff_layout.SIGNATURES:
             return _decode_tiff(file, stream, max_pixels)
@@ -142,11 +136,7 @@ def _orientation(info: dict[Any, Any]) -> int:
 def _finished(
     colors: Any, alpha: AnyArray | None, description: Description, turned: int, notes: list[str]
 ) -> Decoded:
-    """Return sRGB with opacity, in the orientation (Exif's number) in which the picture is viewed.
-
-    `colors` are a Pillow image of mode L, RGB, CMYK or LAB, or an array (H, W), (H, W, 3) or, for
-    CMYK, (H, W, 4).
-    """
+    """Return sRGB, with opacity, as it is viewed; colors are gray, RGB, CMYK or LAB."""
     profile, space, note = description
     notes = [*notes, note] if note else notes
     profile = None if profile and is_srgb(profile) else profile

@@ -130,10 +130,7 @@ def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:
 
 
 def _accepts(name: str, start: bytes, unsigned: bool = False) -> bool | str:
-    """Return a plugin's answer to the first bytes of a file, `unsigned` if it knows no signature.
-
-    A format without a plugin accepts no file, and too few bytes can make a plugin fail.
-    """
+    """Return a plugin's answer to a file's first bytes; `unsigned` if it knows no signature."""
     from PIL import Image
 
     if name == "AVIF" and b"avi" not in start:  # HEIC uses the same container

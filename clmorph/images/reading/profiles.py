@@ -17,11 +17,7 @@ _PROFILE_TOLERANCE = 2
 
 
 def to_srgb(picture: Any, profile: bytes | None) -> tuple[NDArray[np.uint8], str]:
-    """Convert a Pillow image of mode L, RGB, CMYK or LAB to sRGB by its ICC profile.
-
-    Without one, RGB and gray count as sRGB and CMYK as ideal inks on white. The result has the
-    shape (H, W) or (H, W, 3) and comes with a note for the user or "".
-    """
+    """Convert an image of mode L, RGB, CMYK or LAB to sRGB, (H, W) or (H, W, 3), with a note."""
     from PIL import ImageCms
 
     try:

@@ -198,10 +198,7 @@ _TRANSFERS = {
 
 
 def from_space(colors: AnyArray, space: Space) -> AnyArray:
-    """Convert colors (H, W) or (H, W, 3) of uint8 or uint16 to sRGB, as uint16 if they change.
-
-    Shadows of sRGB need more than 8 bits after a conversion from linear light.
-    """
+    """Convert uint8 or uint16 to sRGB; what changes is uint16, because shadows need the bits."""
     gray = colors.ndim == 2
     same = gray or np.allclose(space.primaries, SRGB, atol=_SAME_PRIMARIES)
     if space.to_light is None and same:

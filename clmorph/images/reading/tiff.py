@@ -30,11 +30,7 @@ from clmorph.images.reading.tiff_layout import (
 
 
 def read_samples(file: Path, page: int, layout: Layout) -> tuple[AnyArray, AnyArray | None]:
-    """Decode the picture number `page` of a file by tifffile, which may raise any exception.
-
-    Return the stored numbers (H, W, samples) and the colors (2 ** bits, 3) uint8 of a palette, or
-    None.
-    """
+    """Return a page's numbers (H, W, samples), and a palette's colors (2 ** bits, 3) or None."""
     from tifffile import TiffFile
 
     with _quiet(), TiffFile(file) as tiff:
@@ -117,11 +113,7 @@ def _check_picture(data: bytes, layout: Layout) -> None:
 def interpret(
     file: str, samples: AnyArray, palette: AnyArray | None, layout: Layout
 ) -> tuple[Any, AnyArray | None]:
-    """Return the colors and the opacity (H, W), or None, that samples stand for.
-
-    Colors are gray, RGB or CMYK, of which larger numbers mean more light or more ink, or an image
-    of mode LAB. FileError is raised if samples of this kind are not supported.
-    """
+    """Return colors (gray, RGB, CMYK or an image of mode LAB), and opacity (H, W) or None."""
     if palette is None:
         samples = _full_range(samples, layout.bits)
     count = COLOR_SAMPLES.get(layout.photometric, 0)

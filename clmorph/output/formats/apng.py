@@ -49,11 +49,7 @@ def write_frames(
     plays: int,
     info: "PngInfo",
 ) -> None:
-    """Write an animation of pictures of one size and mode, each with its milliseconds.
-
-    `durations` states the same milliseconds in advance, because the file's header holds the number
-    of frames. With 0 `plays` the animation repeats forever.
-    """
+    """Write pictures with their milliseconds, which `durations` states for the header."""
     count = sum(len(pieces(duration, LONGEST)) for duration in durations)
     before: Image | None = None
     sequence = 0

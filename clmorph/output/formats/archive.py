@@ -86,11 +86,7 @@ class Archive:
 
 
 def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
-    """Write frames (floats), times, parameters, and the plan and potentials of each morph.
-
-    Frames of equal size are one array ``frames`` (n, H, W, C), others ``frame_0000``,
-    ``frame_0001``...
-    """
+    """Write frames (floats), times, parameters, and the plan and potentials of each morph."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:
         _write_frames(archive, recording, report)
         _write_array(archive, "times", recording.times)

@@ -70,11 +70,7 @@ def read_metadata(path: Path) -> str:
 def _write_frames(
     stream: BinaryIO, frames: Iterable[tuple["Image", int]], head: dict[str, Any], clear: bool
 ) -> None:
-    """Write pictures that share a palette, each with its duration in hundredths of a second.
-
-    Each picture is written when it arrives, because Pillow's own writer of animations keeps all
-    pictures in memory until it has the last one.
-    """
+    """Write pictures of one palette as they arrive; Pillow's own writer first keeps them all."""
     before: Image | None = None
     for picture, units in frames:
         box = changed(before, picture)

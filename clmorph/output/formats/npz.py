@@ -21,11 +21,7 @@ VERSION = (1, 0)
 
 
 class Arrays:
-    """The arrays of an ``.npz``, read one by one, together at most `max_bytes` of memory.
-
-    If the file is damaged or would exceed them, all methods raise ValueError or another exception
-    of `clmorph.output.bounded.UNREADABLE`.
-    """
+    """The arrays of an ``.npz``, read one by one, within `max_bytes`; errors are `UNREADABLE`."""
 
     def __init__(self, path: Path, *, max_bytes: float) -> None:
         self._max_bytes = self._left = max_bytes

@@ -46,10 +46,7 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
 
 
 def _keep_animated(file: Path, framing: Framing, duration: int, plays: int) -> None:
-    """Make a still, which libwebp writes if all frames are equal, an animation of one frame.
-
-    RFC 9649, section 2.7, defines the chunks.
-    """
+    """Make a still, which libwebp writes of equal frames, an animation of one (RFC 9649, 2.7)."""
     with file.open("rb") as stream:
         stream.seek(12)
         chunks = [*iter(lambda: _chunk(stream), None)]
@@ -84,11 +81,7 @@ def _packed(kind: bytes, content: bytes) -> bytes:
 
 
 def _reel(recording: Recording, order: list[int], framing: Framing, report: Report) -> "Image":
-    """Return an image of many frames, of which only one is in memory at a time.
-
-    Pillow keeps a list of separate images that are to be appended, but it reads the frames of one
-    image one after the other. When it requests a frame, it has written all frames before.
-    """
+    """Return an image of many frames, which Pillow reads one by one: one at a time is in memory."""
     from PIL import Image
 
     reel = Image.new("RGBA" if framing.clear else "RGB", framing.size)
@@ -119,11 +112,7 @@ def as_exif(parameters: Mapping[str, Any]) -> "Exif":
 
 
 def read_metadata(path: Path) -> str:
-    """Return the description in a WebP's Exif, without reading all frames as Pillow would.
-
-    RFC 9649, section 2.3, defines a chunk: letters, length, and content padded to an even number of
-    bytes.
-    """
+    """Return the description in a WebP's Exif, by its chunks (RFC 9649, 2.3), without frames."""
     from PIL import Image
 
     with path.open("rb") as file:

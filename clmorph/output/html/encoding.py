@@ -46,12 +46,7 @@ class Encoded(NamedTuple):
 
 
 class Encoder:
-    """Encodes `count` frames within `max_bytes` of text, without knowledge of later frames.
-
-    Each frame may take an equal share of the remaining bytes, or a quarter more if it is encoded
-    without loss; unused bytes are left for the next frames. From the first frame that needs more,
-    all frames are compressed with loss, because a change between both would flicker.
-    """
+    """Encodes `count` frames within `max_bytes` of text; from the first too large one with loss."""
 
     def __init__(self, count: int, max_bytes: float) -> None:
         from PIL import features

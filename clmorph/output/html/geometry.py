@@ -12,19 +12,14 @@ WHOLE = 1e-9
 
 
 def frame_boxes(sizes: Sequence[tuple[int, int]], times: Array, extent: str = "true") -> Array:
-    """Return (n, 4): width and height of each frame, borders of pixels included, and of the square.
-
-    The square is that of the common frame; the unit is the longer side of the images, pixel center
-    to pixel center. `sizes` are (height, width). The canvas grows by whole pixels
-    (`clmorph.frames.canvas.canvas_at`), but its content moves smoothly: the pixels per unit are
-    interpolated linearly from one image, at a whole time or an end, to the next.
-    """
+    """Return (n, 4): width and height of each frame, borders included, and of the common square."""
     shapes = np.asarray(sizes, np.float64).reshape(-1, 2)
     whole = np.abs(times - np.round(times)) < WHOLE
     whole[[0, -1]] = True
     _, first = np.unique(np.round(times[whole], 9), return_index=True)
     anchors = np.flatnonzero(whole)[first]
     known = times[anchors], shapes[anchors]
+    # Canvases grow by whole pixels, but their content moves smoothly.
     smooth = np.column_stack([np.interp(times, known[0], side) for side in known[1].T])
     per_unit = np.interp(times, known[0], known[1].max(axis=1) - 1)
     # Frames whose sizes are not those of a morph keep their own sizes.

@@ -21,11 +21,7 @@ HEIGHT = 640
 def repr_html(
     morph: FrameSequence, *, max_pixels: float = NOTEBOOK_PIXELS, max_bytes: float = NOTEBOOK_BYTES
 ) -> str:
-    """Return a morph for a notebook: an iframe that holds its page and has no other access.
-
-    This function renders the frames and does not keep them. It shows an evenly spaced selection of
-    at most `max_pixels` altogether that includes both ends, and a note in the page reports it.
-    """
+    """Return an iframe with a morph's page and no other access, of some of its frames if many."""
     max_pixels = check_number("max_pixels", max_pixels, 1.0, 1e12)
     count = len(morph.times)
     pixels = max(math.prod(morph.canvas(t).shape) for t in (0.0, 1.0))

@@ -52,12 +52,7 @@ def page(scene: Scene, *, max_bytes: float = PAGE_BYTES) -> str:
 
 
 def write_page(scene: Scene, file: TextIO, *, max_bytes: float = PAGE_BYTES) -> None:
-    """Write a page that plays a scene, frame by frame, so that it is never in memory as a whole.
-
-    It is plain ASCII and loads nothing else, which its own Content-Security-Policy forbids. From
-    the first frame that is too large for its share of `max_bytes` on, frames are compressed with
-    loss, and a note reports it. After an error the text written so far is not a valid page.
-    """
+    """Write a page that plays a scene, frame by frame; its own policy lets it load nothing else."""
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e12)
     for part in _parts(scene, max_bytes):
         file.write(part)

@@ -73,11 +73,7 @@ def marks_of(morph: FrameSequence, *, backwards: bool = False) -> Marks:
 
 
 def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
-    """Return curves of the mass that travels, dies and is born, and of the kernel width.
-
-    Masses are shares of all mass drawn at each time; widths are in pixels of the canvas, and given
-    only if the kernel draws the detail of the frames.
-    """
+    """Return curves of the mass that travels, dies and is born (%), and of the kernel width."""
     moving = morph.particles
     begun = [
         float(mass[other == 0].sum()) for mass, other in (moving.weights.T, moving.weights.T[::-1])

@@ -42,20 +42,5 @@ class Leg:
         return len(self.times)
 
     def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:
-        """Draw the frames one by one.
-
-        Parameters
-        ----------
-        first : int
-            Number of the first frame.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import clmorph
-        >>> images = np.zeros((2, 6, 6, 3))
-        >>> leg = clmorph.mix(images, [1, 1], n_frames=3, backend="numpy").path("ab")[0]
-        >>> [frame.shape for frame in leg.iter_frames()]
-        [(6, 6, 3), (6, 6, 3), (6, 6, 3)]
-        """
+        """Draw the frames one by one, from number `first` on."""
         return (self.draw((1 - t) * self.start + t * self.end) for t in self.times[first:])

@@ -133,11 +133,7 @@ class Mixes(Items[Frame]):
 
     @property
     def carries(self) -> bool:
-        """Whether mixes of three or more images are drawn from the layers of all pairs.
-
-        Other ways to draw than "layers" are mixed step by step: mixes of the first and of the
-        second half of the images, and then a morph between both.
-        """
+        """Whether three or more images are mixed by the layers of all pairs, or else by halves."""
         return self.options.detail == "layers"
 
     def frame(self, weights: ArrayLike) -> Frame:
@@ -173,17 +169,7 @@ class Mixes(Items[Frame]):
         return self._drawn(check_mix_weights(weights, len(self.images))[0])
 
     def morph(self, first: int, second: int) -> Morph:
-        """Return the morph between two of the images, by their numbers from 0.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import clmorph
-        >>> images = np.zeros((2, 6, 6, 3))
-        >>> images[0, :, :3] = images[1, :3] = 1.0
-        >>> clmorph.mix(images, [1, 1], backend="numpy").morph(0, 1).frame(0.5).shape
-        (6, 6, 3)
-        """
+        """Return the morph between two of the images, by their numbers from 0."""
         first = check_integer("first", first, 0, len(self.images) - 1)
         second = check_integer("second", second, 0, len(self.images) - 1)
         if (first, second) not in self._solved.morphs:

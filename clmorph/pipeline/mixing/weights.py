@@ -56,13 +56,7 @@ def row_layout(weights: Array) -> Layout:
 
 
 def grid_layout(n_images: int, grid: Any = None) -> Layout:
-    """Return the weights of a grid between two, three or four images, and its layout.
-
-    Two images stand at both ends of a row, three in the corners of a triangle (top, lower left,
-    lower right), and four in those of a rectangle (upper left, upper right, lower left, lower
-    right), with bilinear weights. `grid` is the number of mixes along a side, 5 by default, or
-    (rows, columns).
-    """
+    """Return weights and layout of a row, a triangle or a rectangle between 2, 3 or 4 images."""
     if n_images not in (2, 3, 4):
         raise InputError(
             f"{n_images} images have no grid: expected two, three or four; with others give weights"
@@ -115,11 +109,7 @@ def grid_sides(name: str, text: Any) -> int | tuple[int, ...]:
 
 
 def path_weights(path: Any, n_images: int) -> Array:
-    """Return the weights at the stops of a path through mixes: (n, K) array.
-
-    The path has letters of images, a for the first one, and "+" for the even mix of all, such as
-    "abdca"; or the weights at each stop.
-    """
+    """Return the weights (n, K) at a path's stops: letters of images, + for all; or weights."""
     if isinstance(path, str):
         last = chr(ord("a") + n_images - 1)
         corners = np.vstack((np.eye(n_images), np.full(n_images, 1.0 / n_images)))
