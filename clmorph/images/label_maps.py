@@ -150,17 +150,14 @@ def read_labels(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
 def _samples(file: Path, max_pixels: int) -> Any:
     """Return the samples of a file as they stand there."""
     from clmorph.images.reading import tiff, tiff_layout
-    from clmorph.images.reading.opening import Reader, check_size, open_picture
+    from clmorph.images.reading.opening import Reader, open_picture
 
     if file.suffix.lower() == ".npy":
         return read_npy(file, max_pixels)
     with Reader(file) as stream:
         if stream.read(4) in tiff_layout.SIGNATURES:
-            layout, page, _ = tiff_layout.open_page(stream)
-            check_size(file, (layout.width, layout.height), max_pixels)
             # Labels have no light, so their numbers may be signed.
-            tiff_layout.check_layout(str(file), layout._replace(kind="u"), max_pixels)
-            samples, _ = tiff.read_samples(file, page, layout)
+            samples = tiff.read_tiff(file, max_pixels, signed=True).samples
             if samples.shape[2] in (2, 4):
                 opacity = samples[..., -1]
                 if opacity.dtype.kind == "u" and opacity.min() < np.iinfo(opacity.dtype).max:

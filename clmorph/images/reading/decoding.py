@@ -1,16 +1,17 @@
 """Decode image files from untrusted sources to arrays of sRGB, in bounded time and memory.
 
-No file changes the global state of the process. `reading.tags` reads metadata without warnings,
-and `clmorph.images.reading.opening` checks sizes.
+No file changes the global state of the process, and `clmorph.images.reading.opening` checks sizes.
 """
 
+import struct
+from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from clmorph._shared.typing import AnyArray
-from clmorph.images.reading import tags, tiff, tiff_layout
+from clmorph.images.reading import tiff, tiff_layout
 from clmorph.images.reading.deep import (
     GRAY_16,
     divided,
@@ -19,7 +20,7 @@ from clmorph.images.reading.deep import (
     raw_mode,
     tiles_of,
 )
-from clmorph.images.reading.opening import Reader, check_size, open_picture
+from clmorph.images.reading.opening import Reader, open_picture, xmp_orientation
 from clmorph.images.reading.profiles import is_srgb, to_srgb
 from clmorph.images.reading.spaces import Description, described, from_space
 
@@ -30,21 +31,19 @@ def decode(file: Path, max_pixels: int) -> Decoded:
     """Decode the first picture to sRGB that `as_pixels` takes; notes continue "<file> has"."""
     with Reader(file) as stream:
         if stream.read(4) in tiff_layout.SIGNATURES:
-            return _decode_tiff(file, stream, max_pixels)
+            return _decode_tiff(file, max_pixels)
         picture = open_picture(file, stream, max_pixels)
         with picture:
             return _decode_picture(file, picture)
 
 
-def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
+def _decode_tiff(file: Path, max_pixels: int) -> Decoded:
     """Decode the first full picture of a TIFF."""
-    name = str(file)
-    layout, page, more = tiff_layout.open_page(stream)
-    check_size(file, (layout.width, layout.height), max_pixels)
-    tiff_layout.check_layout(name, layout, max_pixels)
-    notes = ["several pages: its first is taken"] if more else []
-    colors, alpha = tiff.interpret(name, *tiff.read_samples(file, page, layout), layout)
-    return _finished(colors, alpha, Description(layout.profile), layout.orientation, notes)
+    stored = tiff.read_tiff(file, max_pixels)
+    notes = ["several pages: its first is taken"] if stored.more else []
+    colors, alpha = tiff.interpret(str(file), stored)
+    known = stored.layout
+    return _finished(colors, alpha, Description(known.profile), known.orientation, notes)
 
 
 def _decode_picture(file: Path, picture: Any) -> Decoded:
@@ -125,12 +124,29 @@ def _orientation(info: dict[Any, Any]) -> int:
             exif = bytes.fromhex("".join(raw.split("\n")[3:]))
         except ValueError:  # damaged metadata; the pixels can still be valid
             exif = None
-    turned = tags.exif_orientation(exif) if isinstance(exif, bytes) else None
+    turned = _exif_orientation(exif) if isinstance(exif, bytes) else None
     # Programs that rotate a picture update Exif and often leave the copy in XMP unchanged.
     if turned is not None:
         return turned
     xmp = info.get("xmp") or info.get("XML:com.adobe.xmp") or b""
-    return tags.xmp_orientation(xmp.encode() if isinstance(xmp, str) else bytes(xmp))
+    return xmp_orientation(xmp.encode() if isinstance(xmp, str) else bytes(xmp))
+
+
+def _exif_orientation(exif: bytes) -> int | None:
+    """Return the orientation in Exif data, 1 to 8, or None: Pillow would warn of damaged ones."""
+    exif = exif.removeprefix(b"Exif\0\0")
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(exif[:4])
+    if order is None:
+        return None
+    with suppress(struct.error):
+        (start,) = struct.unpack_from(f"{order}I", exif, 4)
+        (count,) = struct.unpack_from(f"{order}H", exif, start)
+        for place in range(start + 2, start + 2 + 12 * count, 12):
+            tag, kind = struct.unpack_from(f"{order}HH", exif, place)
+            if tag == 274 and kind in (3, 4):
+                (turned,) = struct.unpack_from(order + "HI"[kind - 3], exif, place + 8)
+                return turned if 1 <= turned <= 8 else 1
+    return None
 
 
 def _finished(

@@ -39,7 +39,8 @@ _UNREAD = (
 )
 #: What Pillow says of valid files that it does not read.
 _UNSUPPORTED = re.compile(
-    "unsupported|not supported|unimplemented|unknown (TGA|PCX|pixel)|not a TGA file", re.IGNORECASE
+    "unsupported|not supported(?! between)|unimplemented|unknown (TGA|PCX|pixel)|not a TGA file",
+    re.IGNORECASE,
 )
 #: Largest number of scans of a progressive JPEG. Each scan processes all pixels; encoders write
 #: about ten.
@@ -48,6 +49,9 @@ MAX_SCANS = 64
 _ORDINARY_SCANS = 16
 #: Number of pixels in all scans together that is always accepted.
 MAX_SCANNED = 1 << 30
+
+
+_XMP_ORIENTATION = re.compile(rb"tiff:Orientation(?:=\"|>)([1-8])")
 
 
 class UnsupportedError(Exception):
@@ -74,6 +78,12 @@ def unsupported_reason(error: Exception) -> str:
     if "MAX_TEXT_CHUNK" in told:
         return "it holds a text or a color profile of more than 1 MB"
     return told if isinstance(error, NotImplementedError) or _UNSUPPORTED.search(told) else ""
+
+
+def xmp_orientation(xmp: bytes) -> int:
+    """Return the orientation in XMP data, 1 to 8; 1 if there is none."""
+    found = _XMP_ORIENTATION.search(xmp)
+    return int(found[1]) if found else 1
 
 
 def check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:

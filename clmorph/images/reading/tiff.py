@@ -5,18 +5,20 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from clmorph._shared.typing import AnyArray, Array
 from clmorph.errors import FileError
+from clmorph.images.reading.opening import check_size
 from clmorph.images.reading.tiff_layout import (
     ASSOCIATED,
     BLACK_IS_ZERO,
     CIELAB,
     COLOR_SAMPLES,
     JPEG,
+    MAX_DIRECTORIES,
     MAX_PIECES,
     PALETTE,
     RGB,
@@ -25,27 +27,61 @@ from clmorph.images.reading.tiff_layout import (
     WHITE_IS_ZERO,
     YCBCR,
     Layout,
+    check_layout,
     not_read,
+    read_layout,
 )
 
 
-def read_samples(file: Path, page: int, layout: Layout) -> tuple[AnyArray, AnyArray | None]:
-    """Return a page's numbers (H, W, samples), and a palette's colors (2 ** bits, 3) or None."""
+class Stored(NamedTuple):
+    """The first full picture of a file, as it is stored."""
+
+    #: (H, W, samples).
+    samples: AnyArray
+    #: Colors of a palette, (2 ** bits, 3) uint8, or None.
+    palette: AnyArray | None
+    layout: Layout
+    #: Whether another full picture follows.
+    more: bool
+
+
+def read_tiff(file: Path, max_pixels: int, *, signed: bool = False) -> Stored:
+    """Decode the first full picture by tifffile, which may raise any exception."""
     from tifffile import TiffFile
 
     with _quiet(), TiffFile(file) as tiff:
-        found: Any = tiff.pages[page]
-        _check_pieces(file, tiff.filehandle, found, layout)
+        page, more = _first_full_page(tiff)
+        layout = read_layout(page)
+        check_size(file, (layout.width, layout.height), max_pixels)
+        check_layout(str(file), layout._replace(kind="u") if signed else layout, max_pixels)
+        _check_pieces(file, tiff.filehandle, page, layout)
         # Separate samples, depth, height, width, samples together: nothing larger is decoded.
-        apart, depth, height, width, together = found.shaped
+        apart, depth, height, width, together = page.shaped
         if depth != 1:
             raise ValueError("it has depth")
         if (height, width, apart * together) != (layout.height, layout.width, layout.samples):
             raise ValueError("its tags contradict each other")
-        samples = np.asarray(found.asarray()).reshape(apart, height, width, together)
-        palette = _palette(found) if layout.photometric == PALETTE else None
+        samples: AnyArray = np.asarray(page.asarray()).reshape(apart, height, width, together)
+        palette = _palette(page) if layout.photometric == PALETTE else None
     samples = samples.astype(np.uint8) if samples.dtype == np.bool_ else samples
-    return np.moveaxis(samples, 0, -1).reshape(height, width, layout.samples), palette
+    samples = np.moveaxis(samples, 0, -1).reshape(height, width, layout.samples)
+    return Stored(samples, palette, layout, more)
+
+
+def _first_full_page(tiff: Any) -> tuple[Any, bool]:
+    """Return the first page that is no reduced copy and no mask, and whether another follows."""
+    pages: list[Any] = []
+    full: list[Any] = []
+    while len(pages) < MAX_DIRECTORIES and len(full) < 2:
+        try:
+            pages.append(tiff.pages[len(pages)])
+        except Exception:  # there are no more, or the next one is damaged
+            break
+        # Bit 0 marks a reduced copy, bit 2 a transparency mask.
+        full = [page for page in pages if not int(page.subfiletype) & 0b101]
+    if not pages:
+        raise ValueError("its directory is damaged")
+    return (full or pages)[0], len(full) == 2
 
 
 @contextmanager
@@ -110,10 +146,9 @@ def _check_picture(data: bytes, layout: Layout) -> None:
             raise ValueError("a part of it holds more than its tags say")
 
 
-def interpret(
-    file: str, samples: AnyArray, palette: AnyArray | None, layout: Layout
-) -> tuple[Any, AnyArray | None]:
+def interpret(file: str, stored: Stored) -> tuple[Any, AnyArray | None]:
     """Return colors (gray, RGB, CMYK or an image of mode LAB), and opacity (H, W) or None."""
+    samples, palette, layout, _ = stored
     if palette is None:
         samples = _full_range(samples, layout.bits)
     count = COLOR_SAMPLES.get(layout.photometric, 0)

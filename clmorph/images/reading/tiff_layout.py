@@ -1,11 +1,9 @@
 """The storage layout of a picture in a TIFF file, from its tags, and whether it is supported."""
 
-from typing import IO, NamedTuple
+from typing import Any, NamedTuple
 
 from clmorph.errors import FileError
-from clmorph.images.reading import tags
-from clmorph.images.reading.opening import UnsupportedError
-from clmorph.images.reading.tags import Directory
+from clmorph.images.reading.opening import UnsupportedError, xmp_orientation
 
 #: First bytes of a TIFF or BigTIFF, in either byte order.
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -24,6 +22,12 @@ FAX = (2, 3, 4)
 COMPRESSIONS = frozenset((1, *FAX, 5, *JPEG, 8, 32946, 32773, 34925, 50000, WEBP))
 #: Values of ExtraSamples: opacity with premultiplied colors, and with unmultiplied colors.
 ASSOCIATED, UNASSOCIATED = 1, 2
+#: Numbers of tags.
+_WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _ORIENTATION = 256, 257, 258, 259, 262, 274
+_SAMPLES, _ROWS_PER_STRIP, _PLANAR, _TILE_WIDTH, _TILE_HEIGHT = 277, 278, 284, 322, 323
+_EXTRA_SAMPLES, _SAMPLE_FORMAT, _SUBSAMPLING, _XMP, _ICC_PROFILE = 338, 339, 530, 700, 34675
+#: Largest number of directories that are read; hardly any file has its main image further back.
+MAX_DIRECTORIES = 16
 #: Largest number of pieces (strips or tiles) of one picture.
 MAX_PIECES = 1 << 16
 #: Largest number of pixels of pieces outside the picture; a small picture can lie in a large tile.
@@ -57,39 +61,44 @@ class Layout(NamedTuple):
     profile: bytes | None
 
 
-def read_layout(directory: Directory) -> Layout:
-    """Return the storage layout of a picture, or raise ValueError or UnsupportedError."""
-    width, height = directory.number(tags.WIDTH, 0), directory.number(tags.HEIGHT, 0)
+def read_layout(page: Any) -> Layout:
+    """Return the storage layout of a page of tifffile, or raise ValueError or UnsupportedError."""
+
+    def numbers(tag: int, *usual: int) -> tuple[int, ...]:
+        value = page.tags.valueof(tag)
+        if value is None or isinstance(value, str | bytes):
+            return usual
+        return tuple(map(int, value if isinstance(value, tuple) else (value,))) or usual
+
+    def octets(tag: int) -> bytes:
+        value = page.tags.valueof(tag)
+        return value if isinstance(value, bytes) else b""
+
+    (width, *_), (height, *_) = numbers(_WIDTH, 0), numbers(_HEIGHT, 0)
     if width < 1 or height < 1:
         raise ValueError("its tags give no size")
-    compression = directory.number(tags.COMPRESSION, 1)
-    samples = directory.number(tags.SAMPLES, 1)
-    bits = directory.numbers(tags.BITS) or (1,)
-    formats = directory.numbers(tags.SAMPLE_FORMAT) or (1,)
+    compression, samples = numbers(_COMPRESSION, 1)[0], numbers(_SAMPLES, 1)[0]
+    bits, formats = numbers(_BITS, 1), numbers(_SAMPLE_FORMAT, 1)
     kind = {1: "u", 2: "i", 3: "f", 4: "u"}.get(formats[0])
     if len(set(bits)) > 1 or len(set(formats)) > 1 or kind is None or bits[0] > 64:
         raise UnsupportedError("has samples of several kinds, or of one that is not read")
     if bits[0] < 1 or samples < 1:
         raise ValueError("its tags give no samples")
-    photometric = directory.number(tags.PHOTOMETRIC, RGB if samples > 2 else BLACK_IS_ZERO)
-    extra = directory.numbers(tags.EXTRA_SAMPLES)
+    photometric = numbers(_PHOTOMETRIC, RGB if samples > 2 else BLACK_IS_ZERO)[0]
+    extra = numbers(_EXTRA_SAMPLES)
     if not extra and samples == COLOR_SAMPLES.get(photometric, samples) + 1:
         extra = (UNASSOCIATED,)
-    tiled = tags.TILE_WIDTH in directory.tags
     piece = (
-        (directory.number(tags.TILE_WIDTH, 0), directory.number(tags.TILE_HEIGHT, 0))
-        if tiled
-        else (width, max(1, min(directory.number(tags.ROWS_PER_STRIP, height), height)))
+        (numbers(_TILE_WIDTH, 0)[0], numbers(_TILE_HEIGHT, 0)[0])
+        if _TILE_WIDTH in page.tags
+        else (width, max(1, min(numbers(_ROWS_PER_STRIP, height)[0], height)))
     )
     if min(piece) < 1:
         raise ValueError("its tiles have no size")
-    profile = directory.tags.get(tags.ICC_PROFILE)
     return Layout(
         width, height, bits[0], kind, samples, photometric, compression,
-        directory.number(tags.ORIENTATION, tags.xmp_orientation(directory.octets(tags.XMP))),
-        directory.number(tags.PLANAR, 1) == 2,
-        extra, piece, directory.numbers(tags.SUBSAMPLING)[:2] != (1, 1),
-        profile if isinstance(profile, bytes) else None,
+        numbers(_ORIENTATION, xmp_orientation(octets(_XMP)))[0], numbers(_PLANAR, 1)[0] == 2,
+        extra, piece, numbers(_SUBSAMPLING)[:2] != (1, 1), octets(_ICC_PROFILE) or None,
     )  # fmt: skip
 
 
@@ -143,9 +152,3 @@ def not_read(file: str, layout: Layout) -> FileError:
         f"compression {layout.compression}, {layout.samples} samples of {layout.bits} bits); "
         "save it as RGB of 8 or 16 bits, uncompressed or with Deflate"
     )
-
-
-def open_page(stream: IO[bytes]) -> tuple[Layout, int, bool]:
-    """Return the layout of the picture to be read, its page from 0, and whether another follows."""
-    directory, page, more = tags.first_full_page(stream)
-    return read_layout(directory), page, more
