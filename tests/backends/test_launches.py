@@ -52,12 +52,13 @@ def test_no_launch_looks_at_more_than_its_share(device, monkeypatch):
     monkeypatch.setattr(splatting, "_budget", LaunchBudget(first=1))
     monkeypatch.setattr(splatting._budget, "pairs", lambda: 1)
     sizes = []
-    run = splatting._run
-    monkeypatch.setattr(
-        splatting,
-        "_run",
-        lambda name, size, *rest: (sizes.append((name, size)), run(name, size, *rest)),
-    )
+    launch = device.work.launch
+
+    def noted(kernel, size, *rest, **options):
+        sizes.append((kernel.function_name, size))
+        launch(kernel, size, *rest, **options)
+
+    monkeypatch.setattr(device.work, "launch", noted)
     rng = np.random.default_rng(0)
     count = 3500
     splats = device.upload_splats(
@@ -76,15 +77,14 @@ def test_no_launch_looks_at_more_than_its_share(device, monkeypatch):
 
 def test_prime_numbers_of_particles_leave_work_groups_whole(device, monkeypatch):
     """Where a driver chooses work-groups, it makes them 1 for a prime number of work-items."""
-    splatting, sizes = device.splatting, []
-    run = splatting._run
+    launch, sizes = device.work.launch, []
 
-    def noted(name, size, group, *rest):
+    def noted(kernel, size, group, *rest, **options):
         if group is None:
             sizes.append(*size)
-        run(name, size, group, *rest)
+        launch(kernel, size, group, *rest, **options)
 
-    monkeypatch.setattr(splatting, "_run", noted)
+    monkeypatch.setattr(device.work, "launch", noted)
     rng = np.random.default_rng(0)
     positions = rng.uniform(0, 40, (1009, 2)).astype(np.float32)
     distances = rng.uniform(0.5, 9, (40, 40))

@@ -1,6 +1,6 @@
 """The operations in NumPy and float64, with which other backends are compared."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.interface import MAX_SPREAD
-from clmorph.backends.numpy.batches import Batch, divide, for_each
 from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
 from clmorph.backends.numpy.color_table import apply_table
 from clmorph.backends.numpy.grids import grid_log_sum_exp
@@ -26,6 +25,17 @@ from clmorph.backends.records import (
     bin_grid,
 )
 from clmorph.backends.width_levels import WIDTH_LEVELS
+
+#: The clouds of many problems.
+Batch = list[Cloud]
+
+
+def _problems(
+    rows: Batch, columns: Batch, potential: Float64
+) -> Iterator[tuple[Cloud, Cloud, Float64]]:
+    """Return the two clouds of each problem, and its part of the potential."""
+    ends = np.cumsum([len(cloud.points) for cloud in columns])
+    return zip(rows, columns, np.split(potential, ends[:-1]), strict=True)
 
 
 class NumPyOperations:
@@ -108,34 +118,31 @@ class NumPyOperations:
         offsets: Float64 | None = None,
     ) -> Batch:
         """Upload the clouds of many problems."""
-        return divide(self.upload(points, weights, offsets), counts)
+        ends = np.cumsum(counts)[:-1]
+        parts = zip(
+            *(np.split(each, ends) for each in self.upload(points, weights, offsets)), strict=True
+        )
+        return [Cloud(*part) for part in parts]
 
     def take_batch(self, batch: Batch, problems: NDArray[np.int64]) -> Batch:
         """Return a batch of some clouds of a batch."""
-        return Batch([batch.clouds[number] for number in problems])
+        return [batch[number] for number in problems]
 
     def softmin_batch(
         self, rows: Batch, columns: Batch, potential: Float64, epsilon: float, precise: bool = False
     ) -> Float64:
         """Return the soft minima of many problems."""
-
-        def one(row: Cloud, column: Cloud, part: Float64) -> Float64:
-            return self.softmin(row, column, part, epsilon)
-
-        return np.concatenate(for_each(one, rows, columns, potential))
+        problems = _problems(rows, columns, potential)
+        return np.concatenate([self.softmin(*problem, epsilon) for problem in problems])
 
     def bounded_softmin_batch(
         self, rows: Batch, columns: Batch, potential: Float64, epsilon: float
     ) -> tuple[Float64, Float64]:
         """Return the soft minima of many problems, and bounds of their rounding errors in nats."""
-        errors: list[float] = []
-
-        def one(row: Cloud, column: Cloud, part: Float64) -> Float64:
-            softmin, error = self.bounded_softmin(row, column, part, epsilon)
-            errors.append(error)
-            return softmin
-
-        return np.concatenate(for_each(one, rows, columns, potential)), np.array(errors)
+        problems = _problems(rows, columns, potential)
+        found = [self.bounded_softmin(*problem, epsilon) for problem in problems]
+        softmins, errors = zip(*found, strict=True)
+        return np.concatenate(softmins), np.array(errors)
 
     def near_pairs(
         self,

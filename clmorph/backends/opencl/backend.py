@@ -14,7 +14,7 @@ from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
 from clmorph.backends.opencl.devices.quirks import shares_host_memory
 from clmorph.backends.opencl.devices.verdicts import probed_speed
 from clmorph.backends.opencl.kernels.barycentric_projection import BarycentricProjection
-from clmorph.backends.opencl.kernels.batches import BatchLogSumExp
+from clmorph.backends.opencl.kernels.batches import BatchStore
 from clmorph.backends.opencl.kernels.clouds import CloudStore
 from clmorph.backends.opencl.kernels.color_table import ColorTable
 from clmorph.backends.opencl.kernels.grid_log_sum_exp import GridLogSumExp
@@ -90,7 +90,7 @@ class OpenCLOperations:
         loop = self.row_loop = RowLoop(self.work, self.constants, self.programs)
         log_sum_exp = LogSumExp(loop)
         near_field = NearField(loop, log_sum_exp)
-        batches = BatchLogSumExp(loop, log_sum_exp)
+        batches = BatchStore(loop)
         plan_rows, plan_shares = PlanRowReductions(loop), PlanShares(loop)
         projection = BarycentricProjection(loop)
         self.plan_row_reductions = plan_rows
@@ -111,8 +111,8 @@ class OpenCLOperations:
         self.start_iteration = take_turns(HalfSteps(loop, take_turns).start_iteration)
         self.upload_batch = take_turns(batches.upload_batch)
         self.take_batch = take_turns(batches.take_batch)
-        self.softmin_batch = take_turns(batches.softmin_batch)
-        self.bounded_softmin_batch = take_turns(batches.bounded_softmin_batch)
+        self.softmin_batch = take_turns(log_sum_exp.softmin_batch)
+        self.bounded_softmin_batch = take_turns(log_sum_exp.bounded_softmin_batch)
         self.near_pairs = take_turns(near_field.near_pairs)
         self.count_plan_rows = take_turns(plan_rows.count_plan_rows)
         self.plan_rows = take_turns(plan_rows.plan_rows)

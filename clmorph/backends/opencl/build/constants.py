@@ -43,24 +43,24 @@ class BuildConstants:
 
     #: Lanes of one work-item.
     width: int
-    #: Points of one tile of a cloud.
-    tile: int
     #: Work-items of a work-group in the row reductions.
     group: int
     #: Columns handled together in the log-sum-exp.
     unroll: int
-    #: The function for powers of two. 1: the device's built-in exp2; 0: the polynomial.
-    exp2_builtin: int
-    #: Arithmetic of precise exponents (``exponents.cl``). 2: float64; 1: pairs of float32.
-    precise: int
-    #: Side of a bin of particles, in pixels.
-    bin: int
-    #: Particles that are summed before they are added to the total.
-    chunk: int
     #: Work-items along each side of a splatting work-group.
     tile_group: int
+    #: Points of one tile of a cloud.
+    tile: int = 64
+    #: The function for powers of two. 1: the device's built-in exp2; 0: the polynomial.
+    exp2_builtin: int = 0
+    #: Arithmetic of precise exponents (``exponents.cl``). 2: float64; 1: pairs of float32.
+    precise: int = 2
+    #: Side of a bin of particles, in pixels.
+    bin: int = 8
+    #: Particles that are summed before they are added to the total.
+    chunk: int = 256
     #: Slices of the particle list that are sorted at once, per compute unit.
-    slices_per_unit: int
+    slices_per_unit: int = 8
     #: The number of rounds that all loops of a work-item may take together; 0: any number. Only on
     #: some devices it is limited, see the quirk ``short_loops``.
     longest_loop: int = 0
@@ -237,18 +237,7 @@ def apply_quirks(constants: BuildConstants, quirks: frozenset[str]) -> BuildCons
 def cpu_constants(vector: int) -> BuildConstants:
     """Return constants for a CPU with vectors of `vector` floats."""
     width = next(width for width in (16, 8, 4, 2, 1) if width <= max(1, vector))
-    return BuildConstants(
-        width=width,
-        tile=64,
-        group=1,
-        unroll=32 if width == 16 else 8,
-        exp2_builtin=0,
-        precise=2,
-        bin=8,
-        chunk=256,
-        tile_group=1,
-        slices_per_unit=8,
-    )
+    return BuildConstants(width, group=1, unroll=32 if width == 16 else 8, tile_group=1)
 
 
 def lanes_constants(largest_group: int) -> BuildConstants:
@@ -256,33 +245,18 @@ def lanes_constants(largest_group: int) -> BuildConstants:
     # Every number is read lane by lane, for four rows: with eight it takes minutes to compile.
     sides = (8, 4, 2, 1)
     group = next(group for group in (16, *sides) if group <= largest_group)
-    return BuildConstants(
-        width=4,
-        tile=64,
-        group=group,
-        step_group=group,
-        unroll=4,
-        exp2_builtin=0,
-        precise=2,
-        bin=8,
-        chunk=256,
-        tile_group=next(side for side in sides if side**2 <= largest_group),
-        slices_per_unit=8,
-    )
+    tile_group = next(side for side in sides if side**2 <= largest_group)
+    return BuildConstants(4, group, unroll=4, tile_group=tile_group, step_group=group)
 
 
 def gpu_constants(largest_group: int) -> BuildConstants:
     """Return constants for a GPU whose work-groups have at most `largest_group` items."""
     return BuildConstants(
         width=1,
-        tile=64,
         group=next(group for group in (64, 32, 16, 8, 4, 2, 1) if group <= largest_group),
         unroll=8,
-        exp2_builtin=1,
-        precise=2,
-        bin=8,
-        chunk=256,
         tile_group=next(side for side in (16, 8, 4, 2, 1) if side**2 <= largest_group),
+        exp2_builtin=1,
         slices_per_unit=64,
         rows=4 if largest_group >= 4 else 1,
         step_group=1 << min(8, largest_group.bit_length() - 1),

@@ -41,7 +41,7 @@ def build(
     """Build a kernel file for a device of a context, or raise a ProgramError; binaries are kept."""
     options = build_options(constants)
     device = device or context.devices[0]
-    file = _binary_file(device, name, options)
+    file = None if is_uncached() else f"kernels/{build_key(device, name, constants)}.bin"
     program = _from_binary(context, device, file, options)
     if program is None:
         program = _from_source(context, device, name, options)
@@ -51,7 +51,13 @@ def build(
 
 def build_key(device: cl.Device, name: str, constants: dict[str, int | float]) -> str:
     """Return the key of a build: a digest of source, options, device, driver and processor."""
-    return _build_key(device, name, build_options(constants))
+    identity = (
+        source(name), *build_options(constants), cl.VERSION_TEXT, device.name, device.vendor,
+        device.version, device.driver_version, device.platform.name, device.platform.version,
+        cpu_identity(),
+    )  # fmt: skip
+    digest = hashlib.sha256("\0".join(identity).encode()).hexdigest()
+    return f"{Path(name).stem}-{digest[:32]}"
 
 
 def build_options(constants: dict[str, int | float]) -> list[str]:
@@ -131,22 +137,6 @@ def _log(program: "cl._Program", device: cl.Device) -> str:
 # --- binaries: each file holds a digest, and the binary that it belongs to --------------
 
 _DIGEST_BYTES = 32
-
-
-def _binary_file(device: cl.Device, name: str, options: list[str]) -> str | None:
-    """Return the name of a build in the cache; None if the user has disabled caching."""
-    if is_uncached():
-        return None
-    return f"kernels/{_build_key(device, name, options)}.bin"
-
-
-def _build_key(device: cl.Device, name: str, options: list[str]) -> str:
-    identity = (
-        source(name), *options, cl.VERSION_TEXT, device.name, device.vendor, device.version,
-        device.driver_version, device.platform.name, device.platform.version, cpu_identity(),
-    )  # fmt: skip
-    digest = hashlib.sha256("\0".join(identity).encode()).hexdigest()
-    return f"{Path(name).stem}-{digest[:32]}"
 
 
 def _digest(file: str, binary: bytes) -> bytes:

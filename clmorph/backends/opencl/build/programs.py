@@ -49,9 +49,17 @@ class Programs:
     ) -> None:
         self._context, self._device, self._constants = context, device, constants
         self._check_here, self._chosen = check_here, chosen
+        self._kept: dict[Variant, dict[str, cl.Kernel]] = {}
+
+    def kernel(self, file: str, name: str, precise: bool = False) -> cl.Kernel:
+        """Return a kernel of a file without rows, always the same; built at the first call."""
+        variant = Variant(file, precise=precise)
+        if variant not in self._kept:
+            self._kept[variant] = self.kernels(variant)
+        return self._kept[variant][name]
 
     def kernels(self, variant: Variant) -> dict[str, cl.Kernel]:
-        """Return the kernels of a file by name; the file is built, and verified if it is new."""
+        """Return new kernels of a file by name, which is built, and verified if it is new."""
         if self._check_here is not None:
             self.verify(variant)
         macros = variant.macros(self._constants)

@@ -14,13 +14,7 @@ from clmorph._shared.boxes import boxes_of_runs
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.clouds import Cloud, centered_tiles, split
 from clmorph.backends.opencl.kernels.launches import Workspace
-from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
-from clmorph.backends.opencl.kernels.rounding_bounds import (
-    LARGEST_MAXIMUM,
-    SMALLEST_SUM,
-    rounding_bound,
-)
-from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
+from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
 from clmorph.backends.opencl.kernels.tiles import tile_order
 from clmorph.backends.records import Float64
@@ -72,11 +66,11 @@ def as_batch(cloud: Cloud | Batch) -> Batch:
     return Batch(cloud, counts, tiles, cloud.box[None], {})
 
 
-class BatchLogSumExp:
-    """Soft minima between the clouds of batches."""
+class BatchStore:
+    """Uploads the clouds of many problems."""
 
-    def __init__(self, loop: RowLoop, log_sum_exp: LogSumExp) -> None:
-        self._loop, self._log_sum_exp = loop, log_sum_exp
+    def __init__(self, loop: RowLoop) -> None:
+        self._loop = loop
 
     def upload_batch(
         self,
@@ -122,63 +116,6 @@ class BatchLogSumExp:
             self._loop.work, cloud.order[places] + moved, cloud.centers[tiles],
             cloud.log2_weights[places], cloud.offsets[places], cloud.own_costs[places],
             cloud.planes[:, :, places], counts, batch.tiles[problems], batch.boxes[problems],
-        )  # fmt: skip
-
-    def softmin_batch(
-        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float, precise: bool = False
-    ) -> Float64:
-        """Return the soft minima of many problems."""
-        softmin, _, _ = self._softmin(rows, columns, potential, epsilon, precise, False)
-        return softmin
-
-    def bounded_softmin_batch(
-        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float
-    ) -> tuple[Float64, Float64]:
-        """Return the soft minima of many problems, and bounds of their rounding errors in nats."""
-        softmin, maxima, sums = self._softmin(rows, columns, potential, epsilon, True, True)
-        size, starts = self._loop.constants.tile, rows.first_tiles * self._loop.constants.tile
-        errors = self._error_bounds(rows, columns, potential, epsilon)
-        usable = np.maximum.reduceat(np.abs(maxima), starts) <= LARGEST_MAXIMUM
-        usable &= np.minimum.reduceat(sums, starts) > SMALLEST_SUM
-        assert len(maxima) == size * len(rows.cloud.centers)
-        return softmin, np.where(usable, errors, np.inf)
-
-    def _softmin(
-        self,
-        rows: Batch,
-        columns: Batch,
-        potential: Float64,
-        epsilon: float,
-        precise: bool,
-        bounded: bool,
-    ) -> tuple[Float64, Float64, Float64]:
-        """Return soft minima, and the maxima and sums of the sorted rows."""
-        maxima, sums, offsets = self._log_sum_exp.of_sorted(
-            rows.cloud, columns.cloud, potential, epsilon, precise, pairs_of(rows, columns), bounded
-        )
-        with np.errstate(invalid="ignore", divide="ignore"):
-            softmin = -epsilon / LOG2_E * (maxima + offsets + np.log2(sums))
-        return rows.in_order(softmin), maxima, sums
-
-    def _error_bounds(
-        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float
-    ) -> Float64:
-        """Return the bounds of `bounded_softmin_batch` in nats."""
-        k, size, cloud = LOG2_E / epsilon, self._loop.constants.tile, columns.cloud
-        low = np.minimum(rows.boxes[:, 0], columns.boxes[:, 0])
-        high = np.maximum(rows.boxes[:, 1], columns.boxes[:, 1])
-        costs = 0.5 * k * np.sum((high - low) ** 2, axis=1)
-        values = (potential[cloud.order] - cloud.offsets) * k + cloud.log2_weights
-        massive, starts = cloud.log2_weights > 0.5 * SENTINEL, columns.first_tiles * size
-        highest = np.maximum.reduceat(np.where(massive, values, -np.inf), starts)
-        lowest = np.minimum.reduceat(np.where(massive, values, np.inf), starts)
-        added = np.maximum.reduceat(np.abs(rows.cloud.offsets), rows.first_tiles * size)
-        largest = np.maximum(np.abs(highest), np.abs(lowest)) + k * added
-        return np.asarray(
-            rounding_bound(
-                self._loop.constants, cloud.centers.shape[1], costs, highest - lowest, largest,
-                columns.tiles,
-            )
         )  # fmt: skip
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pyopencl as cl
 
 from clmorph.backends.opencl.build.programs import Programs
-from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.records import Float32
 
@@ -26,7 +25,6 @@ class ColorTable:
 
     def __init__(self, work: Workspace, programs: Programs) -> None:
         self._work, self._programs = work, programs
-        self._kernel: cl.Kernel | None = None
         self._group = min(GROUP, work.device.max_work_group_size)
         self._budget = LaunchBudget(FIRST_COLORS)
 
@@ -38,18 +36,13 @@ class ColorTable:
 
     def apply_table(self, table: Table, colors: Float32) -> Float32:
         """Return colors after a table; see `clmorph.backends.interface.Operations`."""
-        if self._kernel is None:
-            self._kernel = self._programs.kernels(Variant("color_table.cl"))["apply_table"]
+        kernel, group = self._programs.kernel("color_table.cl", "apply_table"), self._group
         found = np.empty(colors.shape, np.float32)
         given, buffer = self._work.buffer(colors), self._work.empty(found.nbytes)
-        first, group = 0, self._group
-        while first < len(colors):
-            end = min(len(colors), first + self._budget.pairs())
-            with self._budget.measure(end - first):
-                self._work.launch(
-                    self._kernel, (-(-(end - first) // group) * group,), (group,),
-                    np.uint32(first), np.uint32(end), np.int32(table.nodes), table.values, given,
-                    buffer, results=((found, buffer),) if end == len(colors) else (),
-                )  # fmt: skip
-            first = end
+        for first, count, last in self._budget.rows(len(colors), 1):
+            self._work.launch(
+                kernel, (-(-count // group) * group,), (group,), np.uint32(first),
+                np.uint32(first + count), np.int32(table.nodes), table.values, given, buffer,
+                results=((found, buffer),) if last else (),
+            )  # fmt: skip
         return found

@@ -215,16 +215,12 @@ class Moments:
         self, name: str, first: int, end: int, width: int, cost: int, arguments: tuple
     ) -> None:
         """Run a kernel over rows of cells or pixels; `cost` is the work of one pixel."""
-        budget = self._budgets[name]
         items = -(-width // self._span)
         group = None if self._span == 1 else (1, 1)
         if group is None:  # a driver chooses it; the kernels leave out what is beyond the width
             items = WHOLE_GROUPS * -(-items // WHOLE_GROUPS)
-        while first < end:
-            rows = int(np.clip(budget.pairs() // (width * cost), 1, end - first))
-            with budget.measure(rows * width * cost):
-                self._work.launch(
-                    self._kernels[name], (items, rows), group,
-                    np.uint32(first), np.int32(self._span), np.int32(width), *arguments,
-                )  # fmt: skip
-            first += rows
+        for row, count, _ in self._budgets[name].rows(end - first, width * cost):
+            self._work.launch(
+                self._kernels[name], (items, count), group,
+                np.uint32(first + row), np.int32(self._span), np.int32(width), *arguments,
+            )  # fmt: skip

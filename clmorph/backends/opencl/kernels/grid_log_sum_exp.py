@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from clmorph.backends.numpy.grids import grid_log_sum_exp as on_host
 from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
-from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.records import Float64
 
@@ -31,7 +30,6 @@ class GridLogSumExp:
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants, self._programs = work, constants, programs
-        self._kernels: dict[bool, dict[str, cl.Kernel]] = {}
         self._budgets = {precise: LaunchBudget() for precise in (False, True)}
 
     def grid_log_sum_exp(
@@ -40,9 +38,6 @@ class GridLogSumExp:
         """Return log sum_j exp(e_j - abs(x_i - y_j)^2), by NumPy if float64 is missing."""
         if precise and not self._constants.float64:
             return on_host(exponents, axes)
-        if precise not in self._kernels:
-            variant = Variant("grid_log_sum_exp.cl", precise=precise)
-            self._kernels[precise] = self._programs.kernels(variant)
         real = np.float64 if precise else np.float32
         largest = float(exponents.max())
         scaled = (exponents - largest) * LOG2_E
@@ -76,7 +71,11 @@ class GridLogSumExp:
         results: tuple,
     ) -> None:
         """Sum along one axis."""
-        constants, budget = self._constants, self._budgets[precise]
+        constants = self._constants
+        grid_powers, log_sum_exp = (
+            self._programs.kernel("grid_log_sum_exp.cl", name, precise)
+            for name in ("grid_powers", "grid_log_sum_exp")
+        )
         real = np.float64 if precise else np.float32
         lanes = constants.lanes if precise else constants.width
         axis = _axis_of(x, y, lanes, FAINTEST[precise])
@@ -95,23 +94,17 @@ class GridLogSumExp:
             self._work.buffer(axis.places, real), self._work.buffer(axis.columns, real),
             self._work.buffer(axis.ways, np.uint32),
         )  # fmt: skip
-        done = 0
-        while done < lines:
-            count = int(np.clip(budget.pairs() // (n * m), 1, lines - done))
-            with budget.measure(count * n * m):
-                self._work.launch(
-                    self._kernels[precise]["grid_powers"], (-(-count // group) * group,), (group,),
-                    np.uint32(done), np.uint32(min(lines, done + count)), np.uint32(m),
-                    np.uint32(stride), exponents, largest, powers,
-                )  # fmt: skip
-                self._work.launch(
-                    self._kernels[precise]["grid_log_sum_exp"],
-                    (-(-items // group) * group, count), (group, 1),
-                    np.uint32(done), np.uint32(lines), np.uint32(span), np.uint32(n),
-                    np.uint32(m), np.uint32(stride), cut, exponents, *buffers, found,
-                    results=results if done + count == lines else (),
-                )  # fmt: skip
-            done += count
+        for first, count, last in self._budgets[precise].rows(lines, n * m):
+            self._work.launch(
+                grid_powers, (-(-count // group) * group,), (group,), np.uint32(first),
+                np.uint32(first + count), np.uint32(m), np.uint32(stride), exponents, largest,
+                powers,
+            )  # fmt: skip
+            self._work.launch(
+                log_sum_exp, (-(-items // group) * group, count), (group, 1), np.uint32(first),
+                np.uint32(lines), np.uint32(span), np.uint32(n), np.uint32(m), np.uint32(stride),
+                cut, exponents, *buffers, found, results=results if last else (),
+            )  # fmt: skip
 
 
 class _Axis(NamedTuple):

@@ -48,6 +48,15 @@ class LaunchBudget:
             yield first, stop
             first = stop
 
+    def rows(self, height: int, work: int, slack: int = 1) -> Iterator[tuple[int, int, bool]]:
+        """Split rows into timed launches of `slack` times their work at most: first, count, end."""
+        row = 0
+        while row < height:
+            count = min(height - row, max(1, self.pairs() // (slack * work)))
+            with self.measure(count * work):
+                yield row, count, row + count == height
+            row += count
+
     @contextlib.contextmanager
     def measure(self, pairs: int) -> Iterator[None]:
         """Time a launch over this many pairs and adapt the next one's size."""

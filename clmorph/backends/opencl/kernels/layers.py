@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from clmorph.backends.numpy.layers import LEAST_WEIGHT, mean_radius, nearest_cells, with_steepness
 from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
-from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
-from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
+from clmorph.backends.opencl.kernels.launches import LaunchBudget, Results, Workspace
 from clmorph.backends.records import LIKE, TEAR, Affine, Float32, Float64, LayerView
 
 #: Work-items of a group, along a row, where a device takes so many: more than the lanes of any.
@@ -47,7 +46,6 @@ class Layers:
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants, self._programs = work, constants, programs
-        self._kernels: dict[str, cl.Kernel] = {}
         self._group = min(GROUP, work.device.max_work_group_size)
         self._of_means, self._of_paths = LaunchBudget(FIRST_PAIRS), LaunchBudget(FIRST_STEPS)
         self._of_points, self._of_pixels = LaunchBudget(FIRST_POINTS), LaunchBudget(FIRST_PIXELS)
@@ -87,7 +85,7 @@ class Layers:
         sharpness = float(np.sqrt(0.5 * np.log2(np.e))) / tolerance
         at_once = loop_limits.mean_rows(self._constants, columns.cells)
         pairs = rows.cells * columns.cells * shape[1]
-        for first, count, last in _rows(self._of_means, shape[0], pairs):
+        for first, count, last in self._of_means.rows(shape[0], pairs):
             for begin in range(0, rows.cells, at_once):
                 end = min(begin + at_once, rows.cells)
                 whole = last and end == rows.cells
@@ -112,7 +110,7 @@ class Layers:
         found = np.empty((steps + 1, *shape, 2), np.float32)
         buffer = self._work.empty(found.nbytes)
         samples = shape[1] * (steps * rounds + 1)
-        for first, count, last in _rows(self._of_paths, shape[0], samples):
+        for first, count, last in self._of_paths.rows(shape[0], samples):
             self._launch(
                 "follow_paths", (shape[1], count), np.uint32(first), make.make_uint2(*shape),
                 make.make_int2(*field.shape[:2]), np.uint32(steps), np.uint32(rounds),
@@ -178,7 +176,7 @@ class Layers:
         start, stop = (0, shape[0]) if rows is None else (rows.start, rows.stop)
         frame = np.empty((stop - start, shape[1], 4), np.float32)
         # Where all pixels are torn, a launch takes as long as the budget allows.
-        for first, count, _ in _rows(self._of_pixels, stop - start, shape[1], TORN_PIXELS):
+        for first, count, _ in self._of_pixels.rows(stop - start, shape[1], TORN_PIXELS):
             out = frame[first : first + count]
             buffer = self._work.empty(out.nbytes)
             self._launch(
@@ -194,7 +192,7 @@ class Layers:
         step = min(int(view.way * layer.steps), layer.steps - 1)
         weights = self._work.buffer(view.weights)
         buffer = self._work.empty(16 * height * width)
-        for first, count, _ in _rows(self._of_points, height, width):
+        for first, count, _ in self._of_points.rows(height, width):
             self._launch(
                 "place_layer", (width, count), np.uint32(first), make.make_int2(height, width),
                 np.float32(view.way * layer.steps - step),
@@ -208,15 +206,13 @@ class Layers:
         name: str,
         size: tuple[int, int],
         *arguments: Any,
-        results: Sequence[tuple[NDArray[Any], cl.MemoryObject]] = (),
+        results: Results = (),
     ) -> None:
         """Run a kernel for (width, height) points."""
-        if not self._kernels:
-            self._kernels = self._programs.kernels(Variant("layers.cl"))
         (width, height), group = size, self._group
         self._work.launch(
-            self._kernels[name], (-(-width // group) * group, height), (group, 1), *arguments,
-            results=results,
+            self._programs.kernel("layers.cl", name), (-(-width // group) * group, height),
+            (group, 1), *arguments, results=results,
         )  # fmt: skip
 
 
@@ -238,18 +234,6 @@ class _Window:
         apart = self.firsts[:, None] + np.arange(wanted) - places[:, None]
         self.weights = np.zeros((many, self.cells), np.float32)
         self.weights[:, :wanted] = np.exp(-0.5 * apart**2 / sigma**2)
-
-
-def _rows(
-    budget: LaunchBudget, height: int, work: int, slack: int = 1
-) -> Iterator[tuple[int, int, bool]]:
-    """Split rows into timed launches, of `slack` times their work at most: first, count, last."""
-    row = 0
-    while row < height:
-        count = min(height - row, max(1, budget.pairs() // (slack * work)))
-        with budget.measure(count * work):
-            yield row, count, row + count == height
-        row += count
 
 
 def _places(affine: Affine, shape: tuple[int, int]) -> Iterator[Float64]:

@@ -4,6 +4,7 @@ import numpy as np
 import pyopencl as cl
 
 from clmorph.backends.opencl.build.constants import SENTINEL, SLICED_FROM
+from clmorph.backends.opencl.kernels.batches import Batch, as_batch, pairs_of
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.rounding_bounds import (
     LARGEST_MAXIMUM,
@@ -34,10 +35,9 @@ class LogSumExp:
         near: NearPairs | None = None,
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
-        maxima, sums, offsets = self._log_sum_exp(rows, columns, potential, epsilon, precise, near)
-        # Overflow gives NaN if float32 cannot hold the numbers; the caller checks the results.
-        with np.errstate(invalid="ignore"):
-            return unsort(rows, -epsilon / LOG2_E * (maxima + offsets + np.log2(sums)))
+        pairs = None if near is None else near.pairs
+        found = self.of_sorted(rows, columns, potential, epsilon, precise, pairs)
+        return unsort(rows, _softmin(*found, epsilon))
 
     def bounded_softmin(
         self,
@@ -60,34 +60,54 @@ class LogSumExp:
         maxima, sums, offsets = self.of_sorted(
             rows, columns, potential, epsilon, True, pairs, True, float32
         )
-        error = np.inf
-        smallest = float(sums.min())
-        if np.abs(maxima).max() <= LARGEST_MAXIMUM and smallest > SMALLEST_SUM:
-            error = self._error_bound(rows, columns, potential, epsilon)
-            if float32 is not None:
-                error += float32_powers_bound(columns.stride, smallest, constants.unroll)
-                error += float32.largest
-        with np.errstate(invalid="ignore", divide="ignore"):
-            softmin = -epsilon / LOG2_E * (maxima + offsets + np.log2(sums))
-        return unsort(rows, softmin), error
+        batches = as_batch(rows), as_batch(columns)
+        error = float(self._error_bounds(*batches, potential, epsilon, maxima, sums)[0])
+        if float32 is not None and error < np.inf:
+            smallest = float(sums.min())
+            error += float32_powers_bound(columns.stride, smallest, constants.unroll)
+            error += float32.largest
+        return unsort(rows, _softmin(maxima, sums, offsets, epsilon)), error
 
-    def _error_bound(
-        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
-    ) -> float:
-        """Return the bound of `bounded_softmin` in nats."""
-        k = LOG2_E / epsilon
-        low = np.minimum(rows.box[0], columns.box[0])
-        high = np.maximum(rows.box[1], columns.box[1])
-        values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
-        values = values[columns.log2_weights > 0.5 * SENTINEL]
-        largest = float(np.abs(values).max()) + k * float(np.abs(rows.offsets).max())
-        costs = 0.5 * k * float(np.sum((high - low) ** 2))
-        return float(
-            rounding_bound(
-                self._loop.constants, columns.centers.shape[1], costs, float(np.ptp(values)),
-                largest, len(columns.centers),
-            )
+    def softmin_batch(
+        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float, precise: bool = False
+    ) -> Float64:
+        """Return the soft minima of many problems."""
+        pairs = pairs_of(rows, columns)
+        found = self.of_sorted(rows.cloud, columns.cloud, potential, epsilon, precise, pairs)
+        return rows.in_order(_softmin(*found, epsilon))
+
+    def bounded_softmin_batch(
+        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float
+    ) -> tuple[Float64, Float64]:
+        """Return the soft minima of many problems, and bounds of their rounding errors in nats."""
+        maxima, sums, offsets = self.of_sorted(
+            rows.cloud, columns.cloud, potential, epsilon, True, pairs_of(rows, columns), True
+        )
+        errors = self._error_bounds(rows, columns, potential, epsilon, maxima, sums)
+        return rows.in_order(_softmin(maxima, sums, offsets, epsilon)), errors
+
+    def _error_bounds(
+        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float, maxima: Float64,
+        sums: Float64,
+    ) -> Float64:  # fmt: skip
+        """Return the bound of each problem in nats, infinite where numbers are too large."""
+        k, size, cloud = LOG2_E / epsilon, self._loop.constants.tile, columns.cloud
+        low = np.minimum(rows.boxes[:, 0], columns.boxes[:, 0])
+        high = np.maximum(rows.boxes[:, 1], columns.boxes[:, 1])
+        costs = 0.5 * k * np.sum((high - low) ** 2, axis=1)
+        values = (potential[cloud.order] - cloud.offsets) * k + cloud.log2_weights
+        massive, first_rows = cloud.log2_weights > 0.5 * SENTINEL, rows.first_tiles * size
+        starts = columns.first_tiles * size
+        highest = np.maximum.reduceat(np.where(massive, values, -np.inf), starts)
+        lowest = np.minimum.reduceat(np.where(massive, values, np.inf), starts)
+        added = np.maximum.reduceat(np.abs(rows.cloud.offsets), first_rows)
+        errors = rounding_bound(
+            self._loop.constants, cloud.centers.shape[1], costs, highest - lowest,
+            np.maximum(np.abs(highest), np.abs(lowest)) + k * added, columns.tiles,
         )  # fmt: skip
+        usable = np.maximum.reduceat(np.abs(maxima), first_rows) <= LARGEST_MAXIMUM
+        usable &= np.minimum.reduceat(sums, first_rows) > SMALLEST_SUM
+        return np.where(usable, errors, np.inf)
 
     def row_maxima(
         self,
@@ -98,20 +118,9 @@ class LogSumExp:
         near: NearPairs | None = None,
     ) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
-        maxima, _, offsets = self._log_sum_exp(rows, columns, potential, epsilon, False, near)
-        return unsort(rows, (maxima + offsets) / LOG2_E)
-
-    def _log_sum_exp(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        potential: Float64,
-        epsilon: float,
-        precise: bool,
-        near: NearPairs | None = None,
-    ) -> tuple[Float64, Float64, Float64]:
         pairs = None if near is None else near.pairs
-        return self.of_sorted(rows, columns, potential, epsilon, precise, pairs)
+        maxima, _, offsets = self.of_sorted(rows, columns, potential, epsilon, False, pairs)
+        return unsort(rows, (maxima + offsets) / LOG2_E)
 
     def of_sorted(
         self,
@@ -168,3 +177,9 @@ class LogSumExp:
             sums[section] = np.sum(of_shares * np.exp2(found - m), axis=0)
         n = len(rows)
         return maxima[:n], sums[:n], loop.row_offsets(rows, exponents)
+
+
+def _softmin(maxima: Float64, sums: Float64, offsets: Float64, epsilon: float) -> Float64:
+    # Overflow gives NaN if float32 cannot hold the numbers; the caller checks the results.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(-epsilon / LOG2_E * (maxima + offsets + np.log2(sums)))

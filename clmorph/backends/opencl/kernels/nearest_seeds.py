@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SEED_LEAF, SEED_WAYS, BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
-from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.records import Float32
@@ -48,13 +47,11 @@ class NearestSeeds:
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants, self._programs = work, constants, programs
-        self._kernel: cl.Kernel | None = None
         self._budget = LaunchBudget(FIRST_ROUNDS)
 
     def nearest_seeds(self, seeds: Float32, shape: tuple[int, int]) -> NDArray[np.int32]:
         """Return the nearest seed of each pixel; see `clmorph.backends.interface.Operations`."""
-        if self._kernel is None:
-            self._kernel = self._programs.kernels(Variant("nearest_seeds.cl"))["nearest_seeds"]
+        kernel = self._programs.kernel("nearest_seeds.cl", "nearest_seeds")
         work, tree = self._work, plant(seeds)
         width = self._constants.width
         sides = width // BLOCK_X[width], BLOCK_X[width]
@@ -78,7 +75,7 @@ class NearestSeeds:
                 buffer = work.empty(made.nbytes)
                 began = time.perf_counter()
                 work.launch(
-                    self._kernel, (-(-len(part) // group) * group,), (group,),
+                    kernel, (-(-len(part) // group) * group,), (group,),
                     np.uint32(len(part)), np.uint32(across), np.int32(begins), np.int32(rounds),
                     np.int32(len(tree.starts) - 1), work.buffer(part, np.uint32), *fixed, buffer,
                     results=((made, buffer),),

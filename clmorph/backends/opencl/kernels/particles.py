@@ -1,6 +1,5 @@
 """Particles on the device, and their sort into bins."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -9,6 +8,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import BuildConstants
+from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.kernels import launches, loop_limits
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.records import bin_grid
@@ -62,7 +62,7 @@ def whole_groups(items: int) -> int:
 
 def sort_splats(
     work: Workspace,
-    kernels: Mapping[str, cl.Kernel],
+    programs: Programs,
     constants: BuildConstants,
     splats: Splats,
     shape: tuple[int, int],
@@ -89,9 +89,10 @@ def sort_splats(
     levels = splats.positions if splats.width_levels is None else splats.width_levels
 
     def over_slices(name: str, *arguments: Any) -> None:
+        kernel = programs.kernel("particles.cl", name)
         for first in range(0, slices, per_launch):
             work.launch(
-                kernels[name], (min(per_launch, slices - first),), group,
+                kernel, (min(per_launch, slices - first),), group,
                 np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(n_bins),
                 np.float32(1 / side), np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]),
                 np.uint32(0 if splats.width_levels is None else bins), splats.positions, levels,

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL, STORED_UNROLL
 from clmorph.backends.opencl.build.sparse_half_step_slots import LARGEST_CHANGE
-from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.candidates import joined_pairs
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
@@ -58,7 +57,6 @@ class SlicedEllpack:
     def __init__(self, loop: RowLoop, plan_rows: PlanRowReductions) -> None:
         self._work, self._constants, self._plan_rows = loop.work, loop.constants, plan_rows
         self._programs = loop.programs
-        self._kernels: dict[str, cl.Kernel] = {}
 
     def store_pairs(
         self,
@@ -73,7 +71,8 @@ class SlicedEllpack:
         near: tuple[NearPairs | None, NearPairs | None] = (None, None),
     ) -> StoredPairs | None:
         """Store the pairs of a plan above a threshold twice: by row and by column."""
-        self._kernel("clear_stored")  # or a ProgramError, before the pairs are counted
+        # Or a ProgramError, before the pairs are counted.
+        self._programs.kernel("sliced_ellpack.cl", "clear_stored")
         sides = []
         n_pairs, memory = 0, self._work.device.global_mem_size // 4
         most = min(max_pairs, memory // BYTES_PER_PAIR)
@@ -97,7 +96,7 @@ class SlicedEllpack:
         rows, tile, side = plan.rows, self._constants.tile, self._constants.slice_rows
         ordered = np.zeros(rows.stride, np.int64)
         ordered[: len(rows)] = counts[rows.order]
-        parts = []
+        parts, clear = [], self._programs.kernel("sliced_ellpack.cl", "clear_stored")
         for section in self._plan_rows.sections(plan):
             for part in self._plan_rows.fill_parts(plan, section, ordered):
                 in_part = slice(part.start * tile, part.stop * tile)
@@ -109,7 +108,7 @@ class SlicedEllpack:
                 first[order] = (starts[:-1, None] + np.arange(side)).ravel()
                 size = max(1, int(starts[-1]))
                 buffers = self._work.empty(4 * size), self._work.empty(4 * size)
-                self._work.launch(self._kernel("clear_stored"), (size,), None, *buffers)
+                self._work.launch(clear, (size,), None, *buffers)
                 self._plan_rows.fill(plan, section, part, first, side, buffers)
                 made = [
                     self._work.buffer(each, np.uint32) for each in (starts, in_part.start + order)
@@ -124,7 +123,7 @@ class SlicedEllpack:
         side: Side = stored.pairs[by_column]
         rows, columns = side.rows, side.columns
         change_buffer, middle = self._changes(columns, changes, ordered)
-        kernel = self._kernel("sum_stored")
+        kernel = self._programs.kernel("sliced_ellpack.cl", "sum_stored")
         found = np.empty((2, rows.stride), np.float32)
         out = [self._work.empty(each.nbytes) for each in found]
         for number, part in enumerate(side.parts, 1):
@@ -161,11 +160,6 @@ class SlicedEllpack:
         buffer = self._work.empty(values.nbytes)
         cl.enqueue_copy(self._work.queue, buffer, values)
         return buffer, middle
-
-    def _kernel(self, name: str) -> cl.Kernel:
-        if not self._kernels:
-            self._kernels = self._programs.kernels(Variant("sliced_ellpack.cl"))
-        return self._kernels[name]
 
 
 def _by_length(counts: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
-from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import launches, loop_limits
 from clmorph.backends.opencl.kernels.gauss_transform import (
     BIN_CELLS,
@@ -47,13 +46,6 @@ class Splatting:
         self._block = constants.width * constants.tile_group  # pixels of a work-group's side
         #: "gather"; "moments", if cells suit the kernel; "auto", the faster of both.
         self.method = "auto"
-
-    @functools.cached_property
-    def _kernels(self) -> dict[str, cl.Kernel]:
-        """The kernels of both files, built at the first access."""
-        files = "particles.cl", "splat.cl"
-        both = [self._programs.kernels(Variant(file)) for file in files]
-        return both[0] | both[1]
 
     @functools.cached_property
     def _moments(self) -> Moments:
@@ -131,7 +123,10 @@ class Splatting:
         first = 0
         while first < count:
             items = whole_groups(min(launches.LAUNCH_PARTICLES, count - first))
-            self._run(name, (items,), None, np.uint32(first), *arguments)
+            self._work.launch(
+                self._programs.kernel("particles.cl", name), (items,), None, np.uint32(first),
+                *arguments,
+            )  # fmt: skip
             first += items
 
     def width_levels(self, splats: Splats) -> NDArray[np.int64]:
@@ -144,15 +139,12 @@ class Splatting:
 
     def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins; see `clmorph.backends.interface.Operations`."""
-        by_bin = self._sort(splats, shape, margin, self._constants.bin)
+        by_bin = sort_splats(
+            self._work, self._programs, self._constants, splats, shape, margin, self._constants.bin
+        )
         order = np.empty(splats.count, np.uint32)
         cl.enqueue_copy(self._work.queue, order, by_bin.order)
         return Bins(by_bin.shape, by_bin.starts[0], order.astype(np.int64))
-
-    def _sort(
-        self, splats: Splats, shape: tuple[int, int], margin: int, side: float
-    ) -> SortedSplats:
-        return sort_splats(self._work, self._kernels, self._constants, splats, shape, margin, side)
 
     def splat(
         self, splats: Splats, shape: tuple[int, int], sigma: float, radius: float
@@ -168,7 +160,7 @@ class Splatting:
             side = BIN_CELLS * make_cells(sigma, radius).side
             widest = 1 if splats.width_levels is None else WIDEST
             margin = int(np.ceil(widest * radius / side))
-        bins = self._sort(splats, shape, margin, side)
+        bins = sort_splats(self._work, self._programs, self._constants, splats, shape, margin, side)
         block = self._block
         blocks = -(-height // block), -(-width // block)
         padded = blocks[0] * block, blocks[1] * block
@@ -214,7 +206,7 @@ class Splatting:
         sums: cl.Buffer,
     ) -> None:
         """Add the splats of one width level to the sums of all blocks of pixels."""
-        blocks_y, blocks_x = blocks
+        (blocks_y, blocks_x), splat = blocks, self._programs.kernel("splat.cl", "splat")
         on_device = self._work.buffer(starts, np.uint32)
         visits = self._visits(bins, starts, blocks, side, float(kernel[1]))
         group = self._constants.tile_group
@@ -227,9 +219,10 @@ class Splatting:
         work = (np.minimum(visits, most) + 1) * side
         for particle in range(first_particle, end, part):
             for first, stop in self._budget.parts(work):
-                with self._budget.measure(_cost(visits[first:stop], side)):
-                    self._run(
-                        "splat", ((stop - first) * group, group), (group, group),
+                # The particles visited, counted for every row of a block.
+                with self._budget.measure(int((visits[first:stop] + 1).sum()) * side):
+                    self._work.launch(
+                        splat, ((stop - first) * group, group), (group, group),
                         np.uint32(first), np.uint32(blocks_x), np.uint32(particle),
                         np.uint32(min(end, particle + part)),
                         np.float32(1 / bins.side), np.int32(bins.margin),
@@ -258,16 +251,6 @@ class Splatting:
             high.append(ends[1] + 1)
         y0, y1, x0, x1 = low[0][:, None], high[0][:, None], low[1], high[1]
         return (sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]).ravel()
-
-    def _run(
-        self, name: str, size: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any
-    ) -> None:
-        self._work.launch(self._kernels[name], size, group, *arguments)
-
-
-def _cost(visits: NDArray[np.int64], side: int) -> int:
-    """Return the work of a launch: the particles visited, counted for every row of a block."""
-    return int((visits + 1).sum()) * side
 
 
 def _unit(weights: NDArray[Any]) -> float:
