@@ -18,7 +18,6 @@ from clmorph.backends.opencl.devices.find import (
     find_devices,
     forget_verdicts,
     mark_unusable,
-    try_again,
 )
 from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.backends.opencl.verification.findings import Finding
@@ -134,7 +133,7 @@ def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
             forget_tuning(device.handle)
             click.echo("  tuning forgotten")
             if not device.usable:
-                try_again(device.handle)
+                forget_verdicts(device.handle)
                 note(f"it was unusable: {device.reason}; it is tried again when it is needed")
             continue
         constants, before, after = tune(device.handle, lambda line: click.echo(f"  {line}"))
@@ -242,5 +241,5 @@ def _remember(device: Device, findings: list[Finding], whole: bool) -> None:
         mark_unusable(device.handle, f"{WRONG}clmorph check: {worst}")
         note("the device is unusable from now on; clmorph devices --again forgets that")
     elif whole and not device.usable:
-        try_again(device.handle)
+        forget_verdicts(device.handle)
         note("what was remembered of the device is forgotten: it is tried again when it is needed")

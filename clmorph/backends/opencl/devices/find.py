@@ -105,21 +105,15 @@ def _forget_found() -> None:
     find_devices.cache_clear()
 
 
-def forget_verdicts() -> None:
-    """Forget all verdicts on devices and programs, so that the next search tests them again."""
-    forget()
+def forget_verdicts(handle: "cl.Device | None" = None) -> None:
+    """Forget the verdict on a device, or all, and those on all programs: they are tried again."""
+    forget(None if handle is None else verdict_key(handle))
     _forget_found()
 
 
 def mark_unusable(handle: "cl.Device", reason: str) -> None:
     """Remember that a device, or a part of one, is unusable, which was found after its trial."""
     refuse(verdict_key(handle), reason)
-    _forget_found()
-
-
-def try_again(handle: "cl.Device") -> None:
-    """Forget the verdict on a device, so that it is tried when it is next needed."""
-    forget(verdict_key(handle))
     _forget_found()
 
 

@@ -1,7 +1,8 @@
 """The pairs of a plan above a threshold, by ``cl_kernels/plan_rows.cl``."""
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+import functools
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -35,6 +36,8 @@ class Plan(NamedTuple):
 class Section(NamedTuple):
     """Some row tiles of a plan, and the arguments of the kernels that find the kept pairs there."""
 
+    plan: Plan
+    precise: bool
     within: range
     pairs: TilePairs | None  #: pairs of tiles to look at; None for all
     exponents: Exponents
@@ -69,13 +72,10 @@ class PlanRowReductions:
         """Return how many pairs of each row are kept, (N,), or of some if above `most` in all."""
         rows, tile = plan.rows, self._loop.constants.tile
         counts, total = np.zeros(rows.stride, np.int32), 0
-        for section in self.sections(plan):
-            kernel = self._kernel("count_plan_rows", plan, section, precise)
-            for part in self._loop.parts(
-                kernel, rows, plan.columns, pairs=section.pairs, within=section.within
-            ):
+        for section in self.sections(plan, precise):
+            for part, launch in self.launches("count_plan_rows", section):
                 out = self._loop.work.empty(len(part) * tile * 4)
-                self._launch(kernel, plan, section, part, precise, out)
+                launch(out)
                 found = counts[part.start * tile : part.stop * tile]
                 cl.enqueue_copy(self._loop.work.queue, found, out)
                 total += int(found.sum(dtype=np.int64))
@@ -83,47 +83,18 @@ class PlanRowReductions:
                     return unsort(rows, counts[: len(rows)].astype(np.int64))
         return unsort(rows, counts[: len(rows)].astype(np.int64))
 
-    def fill(
-        self,
-        plan: Plan,
-        section: Section,
-        part: range,
-        starts: NDArray[np.int64],
-        step: int,
-        buffers: tuple[cl.MemoryObject, cl.MemoryObject],
-        precise: bool = False,
-    ) -> None:
-        """Write columns and log2 masses of a part's kept pairs, from `starts` on in each row."""
-        kernel = self._kernel("fill_plan_rows", plan, section, precise)
-        first = self._loop.work.buffer(starts, np.uint32)
-        self._launch(kernel, plan, section, part, precise, first, np.uint32(step), *buffers)
-
-    def fill_parts(
-        self, plan: Plan, section: Section, counts: NDArray[np.int64], precise: bool = False
-    ) -> Iterator[range]:
-        """Split the row tiles of a section for `fill`; counts are of the sorted rows, padded."""
-        kernel = self._kernel("fill_plan_rows", plan, section, precise)
-        return self._loop.parts(
-            kernel, plan.rows, plan.columns, counts, section.pairs, section.within
-        )
-
-    def _kernel(self, name: str, plan: Plan, section: Section, precise: bool) -> cl.Kernel:
-        listed = section.pairs is not None
-        return self._loop.kernel("plan_rows.cl", name, plan.rows, precise, listed)
-
-    def _launch(
-        self,
-        kernel: cl.Kernel,
-        plan: Plan,
-        section: Section,
-        part: range,
-        precise: bool,
-        *arguments: Any,
-    ) -> None:
-        self._loop.launch(
-            kernel, plan.rows, plan.columns, section.exponents, part, *section.buffers,
-            *arguments, precise=precise, pairs=section.pairs,
-        )  # fmt: skip
+    def launches(
+        self, name: str, section: Section, counts: NDArray[np.int64] | None = None
+    ) -> Iterator[tuple[range, Callable[..., None]]]:
+        """Yield row tiles, and what launches a kernel there; it writes the sorted rows' counts."""
+        plan, precise, within, pairs, exponents, buffers = section
+        clouds, loop = (plan.rows, plan.columns), self._loop
+        kernel = loop.kernel("plan_rows.cl", name, plan.rows, precise, pairs is not None)
+        for part in loop.parts(kernel, *clouds, counts, pairs, within):
+            yield part, functools.partial(
+                loop.launch, kernel, *clouds, exponents, part, *buffers, precise=precise,
+                pairs=pairs,
+            )  # fmt: skip
 
     def plan_rows(
         self,
@@ -145,13 +116,13 @@ class PlanRowReductions:
         sorted_counts = np.zeros(rows.stride, np.int64)
         sorted_counts[:n] = counts[rows.order]
         indices, mass = [], []
-        for section in self.sections(plan):
-            for part in self.fill_parts(plan, section, sorted_counts, precise):
+        for section in self.sections(plan, precise):
+            for part, launch in self.launches("fill_plan_rows", section, sorted_counts):
                 in_part = sorted_counts[part.start * tile : part.stop * tile]
                 ends = np.cumsum(in_part)
                 kept = int(ends[-1])
                 buffers = work.empty(4 * kept), work.empty(4 * kept)
-                self.fill(plan, section, part, ends - in_part, 1, buffers, precise)
+                launch(work.buffer(ends - in_part, np.uint32), np.uint32(1), *buffers)
                 found = np.empty(kept, np.int32)
                 log2_masses = np.empty(kept, np.float32)
                 if kept:
@@ -163,7 +134,7 @@ class PlanRowReductions:
             rows, len(columns), sorted_counts[:n], np.concatenate(indices), np.concatenate(mass)
         )
 
-    def sections(self, plan: Plan) -> Iterator[Section]:
+    def sections(self, plan: Plan, precise: bool = False) -> Iterator[Section]:
         """Yield parts of the row tiles with the arguments of the kernels that find kept pairs."""
         rows, columns = plan.rows, plan.columns
         by_row = _log2_threshold(plan.row_thresholds)[rows.order]
@@ -179,7 +150,7 @@ class PlanRowReductions:
             offsets += plan.f[rows.order] * exponents.k + rows.log2_weights
             offsets[rows.log2_weights <= SENTINEL] = SENTINEL
             own = self._loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
-            yield Section(within, pairs, exponents, (own, *thresholds))
+            yield Section(plan, precise, within, pairs, exponents, (own, *thresholds))
 
     def _possible_pairs(self, plan: Plan) -> Iterator[tuple[range, TilePairs | None]]:
         """Yield row tiles, and all pairs of tiles that bounds do not exclude there."""

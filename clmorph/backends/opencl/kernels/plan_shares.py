@@ -1,5 +1,9 @@
 """Moments of plan rows, and draws from them, by ``cl_kernels/plan_shares.cl``."""
 
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any
+
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
@@ -7,7 +11,7 @@ from numpy.typing import NDArray
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
-from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
+from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import Float64, NearPairs
 
 #: The largest threshold of a draw, below row sums that rounding has made slightly less than 1.
@@ -31,32 +35,24 @@ class PlanShares:
         near: NearPairs | None = None,
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations."""
-        pairs = None if near is None else near.pairs
-        loop, tile = self._loop, self._loop.constants.tile
-        near_only = pairs is not None
-        kernel = loop.kernel(
-            "plan_shares.cl", "plan_moments", rows, precise, near_only, masked=near_only
-        )
-        exponents = loop.exponents(rows, columns, g, epsilon, pairs)
-        offsets = self._offsets(rows, softmin, exponents)
+        loop = self._loop
         dimension, n = rows.centers.shape[1], len(rows)
         moments = np.empty((1 + dimension + dimension * (dimension + 1) // 2, rows.stride))
-        for part, masks in loop.masked_parts(kernel, rows, columns, pairs):
-            out = np.empty((len(moments), len(part) * tile), np.float32)
+        for section, launch in self._launches(
+            "plan_moments", rows, columns, g, softmin, epsilon, precise, near
+        ):
+            out = np.empty((len(moments), section.stop - section.start), np.float32)
             buffer = loop.work.empty(out.nbytes)
-            loop.launch(
-                kernel, rows, columns, exponents, part, *masks, np.uint32(out.shape[1]),
-                offsets, buffer, precise=precise, pairs=pairs,
-            )  # fmt: skip
+            launch(out.shape[1], buffer)
             cl.enqueue_copy(loop.work.queue, out, buffer)
-            moments[:, part.start * tile : part.stop * tile] = out
+            moments[:, section] = out
         moments = moments[1:, :n] / moments[0, :n]
         k = LOG2_E / epsilon
         mean, covariance = np.empty((n, dimension)), np.empty((n, dimension, dimension))
         first, number = np.empty((dimension, n)), 0
         for d in range(dimension):
             first[d] = moments[number]
-            mean[:, d] = np.repeat(rows.centers[:, d], tile)[:n] + first[d] / k
+            mean[:, d] = np.repeat(rows.centers[:, d], loop.constants.tile)[:n] + first[d] / k
             for e in range(d + 1):
                 second = moments[number + 1 + e] - first[d] * first[e]
                 covariance[:, d, e] = covariance[:, e, d] = second / k**2
@@ -75,31 +71,22 @@ class PlanShares:
         near: NearPairs | None = None,
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row."""
-        pairs = None if near is None else near.pairs
-        loop, tile = self._loop, self._loop.constants.tile
-        near_only = pairs is not None
-        kernel = loop.kernel(
-            "plan_shares.cl", "sample_plan_rows", rows, precise, near_only, masked=near_only
-        )
-        exponents = loop.exponents(rows, columns, g, epsilon, pairs)
-        offsets = self._offsets(rows, softmin, exponents)
         n, n_draws = thresholds.shape
         ordered = np.zeros((rows.stride, n_draws), np.float32)
         ordered[:n] = np.minimum(thresholds[rows.order], LARGEST_THRESHOLD)
         draws = np.empty((rows.stride, n_draws), np.int32)
-        most = loop_limits.draws(loop.constants)
-        for part, masks in loop.masked_parts(kernel, rows, columns, pairs):
-            section = slice(part.start * tile, part.stop * tile)
+        loop, most = self._loop, loop_limits.draws(self._loop.constants)
+        for section, launch in self._launches(
+            "sample_plan_rows", rows, columns, g, softmin, epsilon, precise, near
+        ):
             for first in range(0, n_draws, most):
                 own = ordered[section, first : first + most]
                 found = np.full(own.shape, -1, np.int32)
                 so_far = np.zeros(len(own))
                 buffer = loop.work.buffer(found, np.int32)
-                loop.launch(
-                    kernel, rows, columns, exponents, part, *masks, np.uint32(own.shape[1]),
-                    offsets, loop.work.buffer(own), buffer,
+                launch(
+                    own.shape[1], loop.work.buffer(own), buffer,
                     loop.work.buffer(so_far, np.uint32), loop.work.buffer(so_far, np.float32),
-                    precise=precise, pairs=pairs,
                 )  # fmt: skip
                 cl.enqueue_copy(loop.work.queue, found, buffer)
                 draws[section, first : first + most] = found
@@ -109,8 +96,26 @@ class PlanShares:
             draws[:n][missing, number] = draws[:n][missing, number - 1]
         return unsort(rows, columns.order[np.maximum(draws[:n], 0)].astype(np.int32))
 
-    def _offsets(self, rows: Cloud, softmin: Float64, exponents: Exponents) -> cl.Buffer:
-        """Return the row offsets whose sum with e_ij is log2 of pi_ij / (pi 1)_i."""
-        offsets = self._loop.row_offsets(rows, exponents)
+    def _launches(
+        self, name: str, rows: Cloud, columns: Cloud, g: Float64, softmin: Float64, epsilon: float,
+        precise: bool, near: NearPairs | None,
+    ) -> Iterator[tuple[slice, Callable[..., None]]]:  # fmt: skip
+        """Yield sorted rows, and what launches a kernel over them, from its number of items on."""
+        loop, listed, pairs = self._loop, near is not None, None if near is None else near.pairs
+        kernel = loop.kernel("plan_shares.cl", name, rows, precise, listed, masked=listed)
+        exponents = loop.exponents(rows, columns, g, epsilon, pairs)
+        # Their sum with e_ij is log2 of pi_ij / (pi 1)_i.
+        offsets = loop.row_offsets(rows, exponents)
         offsets += exponents.k * softmin[rows.order]
-        return self._loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
+        on_device = loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
+
+        def launch(part: range, masks: list[Any], count: int, *arguments: Any) -> None:
+            loop.launch(
+                kernel, rows, columns, exponents, part, *masks, np.uint32(count), on_device,
+                *arguments, precise=precise, pairs=pairs,
+            )  # fmt: skip
+
+        tile = loop.constants.tile
+        for part, masks in loop.masked_parts(kernel, rows, columns, pairs):
+            section = slice(part.start * tile, part.stop * tile)
+            yield section, functools.partial(launch, part, masks)

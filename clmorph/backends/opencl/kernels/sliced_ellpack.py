@@ -98,7 +98,7 @@ class SlicedEllpack:
         ordered[: len(rows)] = counts[rows.order]
         parts, clear = [], self._programs.kernel("sliced_ellpack.cl", "clear_stored")
         for section in self._plan_rows.sections(plan):
-            for part in self._plan_rows.fill_parts(plan, section, ordered):
+            for part, launch in self._plan_rows.launches("fill_plan_rows", section, ordered):
                 in_part = slice(part.start * tile, part.stop * tile)
                 order = _by_length(ordered[in_part])
                 longest = ordered[in_part][order].reshape(-1, side).max(axis=1)
@@ -109,7 +109,7 @@ class SlicedEllpack:
                 size = max(1, int(starts[-1]))
                 buffers = self._work.empty(4 * size), self._work.empty(4 * size)
                 self._work.launch(clear, (size,), None, *buffers)
-                self._plan_rows.fill(plan, section, part, first, side, buffers)
+                launch(self._work.buffer(first, np.uint32), np.uint32(side), *buffers)
                 made = [
                     self._work.buffer(each, np.uint32) for each in (starts, in_part.start + order)
                 ]

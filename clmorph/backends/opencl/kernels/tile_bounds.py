@@ -4,7 +4,6 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
-import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS, Cloud
@@ -70,10 +69,16 @@ class TileBoundKernel:
     ) -> Iterator[BoundTiles]:
         """Yield bounds of listed pairs of tiles, each the largest over the sides."""
         n_rows, n_columns = (len(terms.level) for terms in sides[0])
+        work, width = self._loop.work, self._loop.constants.width
         kernel = self._loop.kernel("near_field.cl", "bound_tiles", cloud, listed=True)
-        dimension = dimension_argument(cloud)
         budget = self._loop.budget(kernel)
-        buffers = [self._buffers(*side) for side in sides]
+
+        def packed(of: TileBounds) -> NDArray[np.float32]:
+            return np.column_stack((of.centers, of.sides, of.slopes, of.level))
+
+        buffers = [
+            (work.buffer(packed(rows)), work.buffer(packed(columns).T)) for rows, columns in sides
+        ]
         for of_blocks, numbers, begins, lengths in lists:
             rows_of = np.full(len(lengths), WIDTH_OF_GROUPS)
             rows_of[-1] = min(
@@ -91,53 +96,24 @@ class TileBoundKernel:
                     (begins[own] - listed.start, lengths[own], done[own] - done[first]), axis=1
                 )
                 block = of_blocks + first
-                values = self._launch(
-                    kernel, (n_rows, n_columns), block, k, dimension, buffers, table,
-                    numbers[listed], int(done[stop] - done[first]),
-                )  # fmt: skip
+                count = int(done[stop] - done[first])
+                # Whole numbers of work-groups: the kernel leaves out what is beyond a list.
+                size = ENTRIES * -(-int(lengths[own].max()) // (ENTRIES * width)), len(table)
+                on_device = work.buffer(table, np.uint32), work.buffer(numbers[listed], np.uint32)
+                out, found = work.empty(4 * count), np.empty((len(sides), count), np.float32)
+                for side, values in zip(buffers, found, strict=True):
+                    with budget.measure(count):
+                        work.launch(
+                            kernel, size, None,
+                            *map(np.uint32, (n_rows, n_columns, WIDTH_OF_GROUPS, block)),
+                            np.float32(k), *dimension_argument(cloud), *side, *on_device, out,
+                            results=((values, out),),
+                        )  # fmt: skip
                 starts = np.concatenate(([0], np.cumsum(np.repeat(lengths[own], rows_of[own]))))
                 begin = block * WIDTH_OF_GROUPS
                 yield BoundTiles(
-                    range(begin, begin + len(starts) - 1), starts, values, numbers[listed],
+                    range(begin, begin + len(starts) - 1), starts, found.max(axis=0),
+                    numbers[listed],
                     starts[:-1] - np.repeat(table[:, 0], rows_of[own]),
                 )  # fmt: skip
                 first = stop
-
-    def _buffers(self, rows: TileBounds, columns: TileBounds) -> tuple[cl.Buffer, cl.Buffer]:
-        """Return the terms of both sides on the device."""
-        terms = [
-            np.column_stack((side.centers, side.sides, side.slopes, side.level))
-            for side in (rows, columns)
-        ]
-        return self._loop.work.buffer(terms[0]), self._loop.work.buffer(terms[1].T)
-
-    def _launch(
-        self,
-        kernel: cl.Kernel,
-        shape: tuple[int, int],
-        first: int,
-        k: float,
-        dimension: tuple[np.uint32, ...],
-        sides: list[tuple[cl.Buffer, cl.Buffer]],
-        table: NDArray[np.int64],
-        numbers: NDArray[np.uint32],
-        count: int,
-    ) -> NDArray[np.float32]:
-        """Return `count` bounds of blocks of row tiles; a table line is begin, length, place."""
-        work, width = self._loop.work, self._loop.constants.width
-        # Whole numbers of work-groups: the kernel leaves out what is beyond a list.
-        size = ENTRIES * -(-int(table[:, 1].max()) // (ENTRIES * width)), len(table)
-        lists = work.buffer(table, np.uint32), work.buffer(numbers, np.uint32)
-        out = work.empty(4 * count)
-        result: NDArray[np.float32] | None = None
-        for terms in sides:
-            found = np.empty(count, np.float32)
-            with self._loop.budget(kernel).measure(count):
-                work.launch(
-                    kernel, size, None, *map(np.uint32, (*shape, WIDTH_OF_GROUPS, first)),
-                    np.float32(k), *dimension, *terms, *lists, out,
-                    results=((found, out),),
-                )  # fmt: skip
-            result = found if result is None else np.maximum(result, found, out=result)
-        assert result is not None
-        return result
