@@ -4,7 +4,8 @@
 a share of each grid of parameters, and a third of it on the others; and a part of what is written
 over them, on one device or another.
 ``pytest --full`` runs whole grids, and tests operations also in the build of the other kind of
-device. On a device that repeats another one it tests operations alone, with a share of each grid.
+device: in both builds each place of a grid is on one device or another, and the share of the
+default on each. A device that repeats another one has that share of operations alone.
 ``--device NAME`` tests one device. Beside other devices a slow one runs some of the tests of
 operations, and the tests marked as small, also with ``--full``. Without any usable device the tests
 of NumPy run, "auto" means NumPy, and the tests that need a device are skipped.
@@ -173,8 +174,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     Of a grid so many combinations are left as its longest axis has values, and each value of every
     axis is among them; of tests in turns, and on devices but the first one, every third of these.
-    With --full all combinations are left, and each combination of a test in turns is for one
-    device. A device that repeats another one then tests operations, with a share of each grid.
+    With --full all combinations are left, and each combination of a test in turns, or of one of
+    operations in one build, is for one device beside the default's share. A device that repeats
+    another one then tests operations, with a share of each grid.
     """
     if not TESTED:
         for item in items:
@@ -194,7 +196,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             and (not _is_slow(_device_of(item)) or item.get_closest_marker("small") is not None)
         ]
         for own in _by_function(whole):
-            chosen.update(_one_device_each(own) if _is_in_turns(own[0]) else own)
+            chosen.update(_one_device_each(own) if _takes_turns(own[0]) else own)
     config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
     items[:] = [item for item in items if item in chosen]
     if "PYTEST_XDIST_WORKER" in os.environ:
@@ -262,6 +264,11 @@ def _is_in_turns(item: pytest.Item) -> bool:
     return item.get_closest_marker("in_turns") is not None or not set(params).isdisjoint(IN_TURNS)
 
 
+def _takes_turns(item: pytest.Item) -> bool:
+    """Whether with --full one device is enough for each combination, of operations in each build."""
+    return _is_in_turns(item) or "variant" in getattr(getattr(item, "callspec", None), "params", {})
+
+
 def _one_device_each(items: list[pytest.Item]) -> list[pytest.Item]:
     """Return one item of a test function for each combination of parameters, and those of NumPy.
 
@@ -270,8 +277,9 @@ def _one_device_each(items: list[pytest.Item]) -> list[pytest.Item]:
     combinations: dict[tuple[int, ...], list[pytest.Item]] = defaultdict(list)
     for item in items:
         params = getattr(getattr(item, "callspec", None), "params", {})
-        others = (id(value) for name, value in params.items() if name not in OF_DEVICES)
-        combinations[tuple(others)].append(item)
+        others = [id(value) for name, value in params.items() if name not in OF_DEVICES]
+        _, swapped = params.get("variant", (None, False))
+        combinations[(swapped, *others)].append(item)
     turn = crc32(items[0].nodeid.partition("[")[0].encode())
     chosen = []
     for place, own in enumerate(combinations.values()):
