@@ -1,7 +1,5 @@
 """The page about all results of a folder: thumbnails, links and figures that can be sorted."""
 
-import base64
-import hashlib
 import math
 import os
 import re
@@ -13,8 +11,9 @@ from typing import Any
 from urllib.parse import quote
 
 from clmorph._shared.files import atomic_path
-from clmorph._shared.printable import MESSAGE, printable, size_text
+from clmorph._shared.printable import size_text
 from clmorph.batch.places import INDEX, is_remote, local_output, name_of, resolved
+from clmorph.output.html.page import ascii_html, digest
 
 #: The columns with numbers: the key of a record, the heading, and the format.
 NUMBERS = (
@@ -49,12 +48,12 @@ def index_page(folder: str, records: list[Mapping[str, Any]]) -> str:
     n_failed = len(records) - len(done)
     slots = {
         "policy": (
-            f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; "
-            f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'none'"
+            f"default-src 'none'; img-src data:; style-src '{digest(style)}'; "
+            f"script-src '{digest(script)}'; base-uri 'none'; form-action 'none'"
         ),
         "style": style,
         "script": script,
-        "title": _ascii(f"{name_of(folder.rstrip('/')) or folder}: {len(records)} morphs"),
+        "title": ascii_html(f"{name_of(folder.rstrip('/')) or folder}: {len(records)} morphs"),
         "summary": f"{len(done)} done, {n_failed} failed.",
         "header": "".join(_head(kind, title) for kind, title in heads),
         "rows": "".join(_row(folder, record) for record in records),
@@ -64,7 +63,7 @@ def index_page(folder: str, records: list[Mapping[str, Any]]) -> str:
 
 
 def _head(kind: str, title: str) -> str:
-    shown = _ascii(title)
+    shown = ascii_html(title)
     button = f'<button type="button">{shown}</button>' if kind else shown
     return f'<th scope="col" data-kind="{kind}">{button}</th>'
 
@@ -79,7 +78,7 @@ def _row(folder: str, record: Mapping[str, Any]) -> str:
     fine = re.fullmatch(r"data:image/jpeg;base64,[A-Za-z0-9+/=]+", thumbnail)
     cells.append(f'<td><img alt="" src="{thumbnail}"></td>' if fine else "<td></td>")
     shown = "not converged" if is_done and record.get("solver") != "converged" else status
-    cells.append(f"<td>{_ascii(shown)}</td>")
+    cells.append(f"<td>{ascii_html(shown)}</td>")
     for key, _, form in NUMBERS:
         value = record.get(key)
         if not isinstance(value, int | float) or not math.isfinite(value):
@@ -88,9 +87,9 @@ def _row(folder: str, record: Mapping[str, Any]) -> str:
         if form in ("", "{:d}"):
             value = int(value)
         text = form.format(value) if form else size_text(int(value))
-        cells.append(f'<td class="number" data-value="{value!r}">{_ascii(text)}</td>')
-    cells.append(f'<td class="device">{_ascii(str(record.get("device", "")))}</td>')
-    cells.append(f'<td class="line">{_ascii(str(record.get("line", "")))}</td>')
+        cells.append(f'<td class="number" data-value="{value!r}">{ascii_html(text)}</td>')
+    cells.append(f'<td class="device">{ascii_html(str(record.get("device", "")))}</td>')
+    cells.append(f'<td class="line">{ascii_html(str(record.get("line", "")))}</td>')
     return f'<tr class="{"done" if is_done else "failed"}">{"".join(cells)}</tr>\n'
 
 
@@ -99,22 +98,13 @@ def _link(folder: str, output: str) -> tuple[str, str]:
     if is_remote(output) or is_remote(folder):
         start = folder.rstrip("/") + "/"
         name = output.removeprefix(start)
-        return (quote(name) if output.startswith(start) else escape(output)), _ascii(name)
+        return (quote(name) if output.startswith(start) else escape(output)), ascii_html(name)
     try:
         name = Path(os.path.relpath(output, folder)).as_posix()
     except ValueError:  # on another drive
-        return escape(Path(output).as_uri()), _ascii(output)
-    return escape(quote(os.fsencode(name))), _ascii(name)
-
-
-def _ascii(text: str) -> str:
-    """Escape a text for HTML, with character references for characters outside ASCII."""
-    return escape(printable(text, MESSAGE)).encode("ascii", "xmlcharrefreplace").decode("ascii")
+        return escape(Path(output).as_uri()), ascii_html(output)
+    return escape(quote(os.fsencode(name))), ascii_html(name)
 
 
 def _resource(name: str) -> str:
     return files("clmorph.batch").joinpath(name).read_text(encoding="ascii")
-
-
-def _digest(text: str) -> str:
-    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -28,7 +28,7 @@ from clmorph.images.pixels import MAX_PIXELS
 from clmorph.measures.landmark_options import GuideOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
-from clmorph.output.picture import WRITERS
+from clmorph.output.picture import ENCODERS
 from clmorph.output.save import FORMATS
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
@@ -301,12 +301,12 @@ file_options = _together(
 picture_options = _together(
     _option(
         "File", "-o", "--output", type=OutputName(), multiple=True,
-        help=f"Name of an output: {', '.join(WRITERS)} (TIFF: 16 bits), .mp4 or .webm for clips; "
+        help=f"Name of an output: {', '.join(ENCODERS)} (TIFF: 16 bits), .mp4 or .webm for clips; "
         "- with --format is standard output. Can be repeated.",
     ),
     _option(
         "File", "--format",
-        type=click.Choice([*(ending[1:] for ending in WRITERS), *CONTAINERS]),
+        type=click.Choice([*(ending[1:] for ending in ENCODERS), *CONTAINERS]),
         help="Format of the output, where its ending does not choose it.",
     ),
     _recipe_option,

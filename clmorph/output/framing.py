@@ -22,26 +22,20 @@ def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tupl
     return [shapes[index] for index in np.argsort(times, kind="stable")]
 
 
-def enlargement(canvas: Any, shapes: Iterable[tuple[int, ...]]) -> float:
-    """Return the factor by which a canvas enlarges the frame that it enlarges least; 1 if named."""
-    if isinstance(canvas, str):
-        return 1.0
-    width, height = canvas
-    return min(min(width / shape[1], height / shape[0]) for shape in shapes)
-
-
 def enlargement_note(
     style: FrameStyle, shapes: Iterable[tuple[int, ...]], pixelated: bool, size: int | None
 ) -> str | None:
     """Return a note if a canvas enlarges smooth frames much; `size` is the option ``--size``."""
-    shapes = list(shapes)
-    factor = enlargement(style.canvas, shapes)
-    if factor < ENLARGED or style.is_nearest(pixelated):
+    if isinstance(style.canvas, str) or style.is_nearest(pixelated):
+        return None
+    shapes, (right, down) = list(shapes), style.canvas
+    factor = min(min(right / shape[1], down / shape[0]) for shape in shapes)
+    if factor < ENLARGED:
         return None
     height, width, _ = max(shapes, key=lambda shape: (max(shape[:2]), shape[0] * shape[1]))
     note = (
         f"frames of up to {width}x{height} pixels are enlarged {factor:.2g} times to fit the "
-        f"canvas of {style.canvas[0]}x{style.canvas[1]}"
+        f"canvas of {right}x{down}"
     )
     if size is None or max(height, width) < size:
         return f"{note}: the pictures themselves have no more pixels"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,63 +25,21 @@ from clmorph.output.metadata import (
     image_head,
 )
 
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
 #: The first bytes of a JPEG, and its longest side in pixels: the field has 16 bits.
 JPEG_START, JPEG_SIDE = b"\xff\xd8\xff", 65500
 #: Quality of JPEG, from 0 to 100; its colors are not subsampled.
 JPEG_QUALITY = 95
 
 
-def _image(pixels: Array) -> Image:
-    from PIL import Image
-
-    return Image.fromarray(to_bytes(pixels))
-
-
-@encoding("PNG")
-def _write_png(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
-    _image(pixels).save(file, format="PNG", pnginfo=as_png_info(parameters), optimize=False)
-
-
-@encoding("JPEG")
-def _write_jpeg(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
-    check_sides((pixels.shape[1], pixels.shape[0]), JPEG_SIDE, "JPEG")
-    _image(as_rgb(pixels)).save(
-        file, format="JPEG", quality=JPEG_QUALITY, subsampling=0, exif=as_exif(parameters)
-    )
-
-
-@encoding("WebP")
-def _write_webp(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
-    check_sides((pixels.shape[1], pixels.shape[0]), LONGEST_SIDE, "WebP")
-    _image(pixels).save(
-        file, format="WEBP", lossless=True, exact=True, quality=LOSSLESS_EFFORT, method=4,
-        exif=as_exif(parameters),
-    )  # fmt: skip
-
-
-@encoding("TIFF")
-def _write_tiff(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
-    import tifffile
-
-    tifffile.imwrite(
-        file, np.rint(65535.0 * pixels).astype(np.uint16), photometric="rgb",
-        planarconfig="contig", compression="zlib", software=False, metadata=None,
-        extrasamples=["unassalpha"] if pixels.shape[2] == 4 else None,
-        description=as_text(parameters),
-    )  # fmt: skip
-
-
-#: The writer of each ending. JPEG has no opacity: its pictures are laid on white.
-WRITERS: dict[str, Callable[[Array, Mapping[str, Any], Path], None]] = {
-    ".png": _write_png,
-    ".jpg": _write_jpeg,
-    ".jpeg": _write_jpeg,
-    ".webp": _write_webp,
-    ".tif": _write_tiff,
-    ".tiff": _write_tiff,
+#: The encoder of each ending. JPEG has no opacity: its pictures are laid on white.
+ENCODERS = {
+    ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WebP", ".tif": "TIFF", ".tiff": "TIFF"
+}  # fmt: skip
+#: Options of Pillow's encoders.
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "PNG": {"optimize": False},
+    "JPEG": {"quality": JPEG_QUALITY, "subsampling": 0},
+    "WebP": {"lossless": True, "exact": True, "quality": LOSSLESS_EFFORT, "method": 4},
 }
 
 
@@ -92,10 +50,10 @@ def check_picture_place(path: str | PathLike[str], format: str | None = None) ->
     ending = Path(path).suffix.lower() if format is None else f".{format}"
     if not ending and is_standard_output(path):
         raise OutputError(NO_ENDING)
-    if ending not in WRITERS:
+    if ending not in ENCODERS:
         raise OutputError(
             f"{path}: unknown ending {printable(repr(ending), 40)}; expected "
-            f"{', '.join(WRITERS)} for a single picture"
+            f"{', '.join(ENCODERS)} for a single picture"
         )
     return check_file_place(path)
 
@@ -104,7 +62,28 @@ def write_picture(
     pixels: Array, parameters: Mapping[str, Any], file: Path, format: str | None = None
 ) -> None:
     """Write sRGB (H, W, 3 or 4) in [0, 1] and metadata to a new file in the ending's format."""
-    WRITERS[file.suffix.lower() if format is None else f".{format}"](pixels, parameters, file)
+    from PIL import Image
+
+    kind = ENCODERS[file.suffix.lower() if format is None else f".{format}"]
+    with encoding(kind):
+        if kind == "TIFF":
+            import tifffile
+
+            tifffile.imwrite(
+                file, np.rint(65535.0 * pixels).astype(np.uint16), photometric="rgb",
+                planarconfig="contig", compression="zlib", software=False, metadata=None,
+                extrasamples=["unassalpha"] if pixels.shape[2] == 4 else None,
+                description=as_text(parameters),
+            )  # fmt: skip
+            return
+        if kind != "PNG":
+            most = JPEG_SIDE if kind == "JPEG" else LONGEST_SIDE
+            check_sides((pixels.shape[1], pixels.shape[0]), most, kind)
+        known: Any = (
+            {"pnginfo": as_png_info(parameters)} if kind == "PNG" else {"exif": as_exif(parameters)}
+        )
+        image = Image.fromarray(to_bytes(as_rgb(pixels) if kind == "JPEG" else pixels))
+        image.save(file, format=kind.upper(), **_OPTIONS[kind], **known)
 
 
 def write_image(

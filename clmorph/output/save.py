@@ -28,7 +28,7 @@ from clmorph._shared.validation import check_choice, check_progress, is_path, sh
 from clmorph.errors import InputError, OutputError
 from clmorph.frames.sequence import FrameSequence
 from clmorph.output.formats.archive import write_solved
-from clmorph.output.formats.format import PACE, SIZES, Format
+from clmorph.output.formats.format import PACE, SIZES
 from clmorph.output.formats.registry import FORMATS, by_ending, usual_endings
 from clmorph.output.formats.solved import SAVED as SAVED_RESULTS
 from clmorph.output.metadata import checked_parameters
@@ -58,7 +58,13 @@ class Output:
         elif is_standard_output(self.path):
             raise OutputError(NO_ENDING)
         else:
-            self.format = _by_ending(self.path)
+            found = by_ending(self.path)
+            if found is None:
+                raise OutputError(
+                    f"{path}: unknown ending {self.path.suffix!r}; expected "
+                    f"{', '.join(usual_endings())}, or none for a folder of PNG frames"
+                )
+            self.format = found
         self.name = self.format.name
         if self.format.folder and is_standard_output(self.path):
             raise OutputError(
@@ -122,26 +128,6 @@ def write_all(
     write_together([(each.place, each.path, partial(write, each)) for each in outputs], texts)
 
 
-def _save_result(value: Any, output: Output, given: Mapping[str, Any]) -> None:
-    """Write a result of the solver."""
-    if output.name != "npz" or given:
-        raise InputError(
-            f"{output.path}: a result of the solver ({type(value).__name__}) is saved as .npz, "
-            "without other options; choose a name that ends in .npz"
-        )
-    write_together([(output.place, output.path, partial(write_solved, value))])
-
-
-def _by_ending(path: Path) -> Format:
-    format = by_ending(path)
-    if format is not None:
-        return format
-    raise OutputError(
-        f"{path}: unknown ending {path.suffix!r}; expected {', '.join(usual_endings())}, or none "
-        "for a folder of PNG frames"
-    )
-
-
 def save(
     morphs: FrameSequence | Sequence[FrameSequence] | Potentials | Plan | Divergence | Assignment,
     path: str | PathLike[str],
@@ -200,9 +186,21 @@ def save(
     <Archive of 7 frames, 2 plans>
     """
     if isinstance(morphs, SAVED_RESULTS):
-        _save_result(morphs, Output(path, format), given)
+        output = Output(path, format)
+        if output.name != "npz" or given:
+            raise InputError(
+                f"{path}: a result of the solver ({type(morphs).__name__}) is saved as .npz, "
+                "without other options; choose a name that ends in .npz"
+            )
+        write_together([(output.place, output.path, partial(write_solved, morphs))])
         return
-    chain = _as_chain(morphs)
+    chain = [morphs] if isinstance(morphs, FrameSequence) else morphs
+    if (
+        not isinstance(chain, list | tuple)
+        or not chain
+        or not all(isinstance(morph, FrameSequence) for morph in chain)
+    ):
+        raise InputError("morphs: expected a Morph, or a sequence of at least one")
     output = Output(path, format)
     for name in given:
         if name not in SAVED:
@@ -222,17 +220,6 @@ def save(
         pixelated=all(morph.pixelated for morph in chain), parameters=metadata, progress=progress,
     ) as recording:  # fmt: skip
         write_all([output], recording, options, lambda place, share: report(f"write {path}", share))
-
-
-def _as_chain(morphs: FrameSequence | Sequence[FrameSequence]) -> Sequence[FrameSequence]:
-    """Return one morph or several as a sequence of morphs."""
-    if isinstance(morphs, FrameSequence):
-        return [morphs]
-    if isinstance(morphs, list | tuple) and len(morphs) > 0:
-        chain = [morph for morph in morphs if isinstance(morph, FrameSequence)]
-        if len(chain) == len(morphs):
-            return chain
-    raise InputError("morphs: expected a Morph, or a sequence of at least one")
 
 
 #: The option that belongs to the two pictures of a morph; a chain has a list of its values.

@@ -22,7 +22,7 @@ import clmorph
 from clmorph import InputError, OutputError
 from clmorph._shared.threads import MOST_THREADS
 from clmorph.images.pixels import to_bytes
-from clmorph.output.formats.sheet import Layout
+from clmorph.output.formats.sheet import lengths
 from clmorph.output.formats.video import CONTAINERS
 from clmorph.output.framing import Framing
 from clmorph.output.options import FrameStyle
@@ -483,7 +483,7 @@ def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
         write_all([Output(tmp_path / "sheet.png")], film, look)
         with Image.open(tmp_path / "sheet.png") as sheet:
             width, height = sheet.size
-            gap, label, *_ = Layout.around(*size)
+            gap, label, *_ = lengths(*size)
             first = np.asarray(sheet)[gap : gap + size[1], gap : gap + size[0]]
         assert height == 2 * (size[1] + label + gap) + gap
         if look.canvas == (30, 20):
@@ -502,7 +502,7 @@ def test_captions_of_a_contact_sheet_can_be_read(tmp_path, side):
     frames = [np.full((8, 8, 3), 128, np.uint8)] * 3
     write(tmp_path / "sheet.png", film_of(frames), canvas=side)
     width, height = map(int, side.split("x"))
-    gap, label, *_ = Layout.around(width, height)
+    gap, label, *_ = lengths(width, height)
     with Image.open(tmp_path / "sheet.png") as sheet:
         dark = np.asarray(sheet.convert("L")) < 99
     rows = np.flatnonzero(dark[-gap - label : -gap].any(axis=1))
@@ -747,7 +747,7 @@ import pathlib, sys
 import numpy as np
 from clmorph.output.save import Output, write_all
 from clmorph.output.recording import Recording
-from clmorph.output.formats.sheet import Layout
+from clmorph.output.formats.sheet import lengths
 from clmorph.output.formats.video import CONTAINERS
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion

@@ -7,7 +7,6 @@ from clmorph.images.detail import is_pixel_art
 from clmorph.output.framing import (
     FrameStyle,
     Framing,
-    enlargement,
     enlargement_note,
     in_time,
 )
@@ -153,8 +152,6 @@ def test_a_spool_gives_back_what_it_took(rng, tmp_path, monkeypatch):
 
 def test_a_canvas_that_enlarges_all_frames_is_noted():
     shapes = [(192, 256, 3), (256, 256, 3)]
-    assert enlargement((1280, 720), shapes) == pytest.approx(720 / 256)
-    assert enlargement("source", shapes) == 1.0
     said = enlargement_note(FrameStyle(canvas="1280x720"), shapes, False, 256)
     assert said == (
         "frames of up to 256x256 pixels are enlarged 2.8 times to fit the canvas of 1280x720; for "

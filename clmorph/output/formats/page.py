@@ -1,6 +1,5 @@
 """``.html``: a page that plays the morph without a network."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,8 @@ from numpy.typing import NDArray
 from clmorph._shared.items import MadeItems
 from clmorph._shared.progress import Report, Share
 from clmorph.output.formats.format import Format
-from clmorph.output.html import Curve, Field, Marks, Scene, read_parameters, write_page
+from clmorph.output.html.page import read_metadata, write_page
+from clmorph.output.html.scene import Curve, Field, Scene
 from clmorph.output.html.summary import arrow_field, known_parameters, marks_of, morph_curves
 from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
@@ -22,6 +22,8 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     backwards = bool(recording.times[0] > recording.times[-1])
     fields = list(_fields(recording))
     framing, count = recording.framing(style), len(recording)
+    images = recording.parameters.get("images") or ()
+    names = [Path(str(image["file"])).stem for image in images if "file" in image]
 
     def picture(index: int) -> NDArray[np.uint8]:
         frame = recording.picture(index)
@@ -35,32 +37,20 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
         fps=recording.motion.fps,
         hold=recording.motion.hold,
         loop=recording.motion.loop,
-        title=_title(recording),
+        title=" → ".join(names[::-1] if backwards else names) or recording.morphs[0].title,
         pixelated=style.is_nearest(recording.pixelated),
         curves=_curves(recording),
         field=[_turned(field, span) for field in fields] if backwards else fields,
         parameters=recording.parameters,
         facts=known_parameters(recording.morphs[0]) if len(recording.morphs) == 1 else {},
         extent=recording.morphs[0].source.extent,
-        marks=_marks(recording, style, backwards),
+        # Only pictures that are not framed are those in whose pixels landmarks are.
+        marks=marks_of(recording.morphs[0], backwards=backwards)
+        if len(recording.morphs) == 1 and style.canvas == "dynamic"
+        else None,
     )
     with file.open("w", encoding="ascii", newline="\n") as stream:
         write_page(scene, stream)
-
-
-def _marks(recording: Recording, style: FrameStyle, backwards: bool) -> Marks | None:
-    """Return the landmarks of a morph of two pictures, whose frames are not framed."""
-    if len(recording.morphs) != 1 or style.canvas != "dynamic":
-        return None
-    return marks_of(recording.morphs[0], backwards=backwards)
-
-
-def _title(recording: Recording) -> str:
-    """Return the pictures' names, if the recording's parameters have them."""
-    images = recording.parameters.get("images") or ()
-    names = [Path(str(image["file"])).stem for image in images if "file" in image]
-    ordered = names[::-1] if recording.times[0] > recording.times[-1] else names
-    return " → ".join(ordered) or recording.morphs[0].title
 
 
 def _curves(recording: Recording) -> list[Curve]:
@@ -92,11 +82,6 @@ def _turned(field: Field, span: float) -> Field:
         field, positions=field.positions + field.displacement, displacement=-field.displacement,
         begin=span - field.end, end=span - field.begin,
     )  # fmt: skip
-
-
-def read_metadata(path: Path) -> str:
-    """Return the metadata text of a page."""
-    return json.dumps(read_parameters(path))
 
 
 FORMATS = (

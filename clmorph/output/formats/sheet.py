@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,23 +21,10 @@ FRAMES = 10
 COLUMNS = 5
 
 
-class Layout(NamedTuple):
-    """Lengths on a sheet, in pixels."""
-
-    #: Between pictures, and around them.
-    gap: int
-    #: Height of the strip below each picture, for its time.
-    label: int
-    #: Size of the text.
-    font: int
-    #: From a picture down to its text.
-    offset: int
-
-    @classmethod
-    def around(cls, width: int, height: int) -> "Layout":
-        """Return the layout for pictures of one size; text and gaps grow with large ones."""
-        scale = max(1.0, math.sqrt(width * height) / SIDE)
-        return cls(*(round(length * scale) for length in (12, 22, 14, 3)))
+def lengths(width: int, height: int) -> tuple[int, ...]:
+    """Return the gap between pictures, the height of captions, of their text, and of its margin."""
+    scale = max(1.0, math.sqrt(width * height) / SIDE)
+    return tuple(round(length * scale) for length in (12, 22, 14, 3))
 
 
 @encoding("PNG")
@@ -52,20 +38,20 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     framing = Framing(_fitting(style, shapes), shapes, recording.pixelated, SIDE)
     width, height = framing.size
     captions = [f"t = {recording.times[index]:.2f}" for index in chosen]
-    layout = Layout.around(width, height)
-    font = ImageFont.load_default(layout.font)
+    gap, label, size, margin = lengths(width, height)
+    font = ImageFont.load_default(size)
     # A caption can be wider than a narrow picture.
     cell = max(width, *(math.ceil(font.getlength(caption)) for caption in captions))
     columns = min(COLUMNS, len(chosen))
     rows = -(-len(chosen) // columns)
-    step = cell + layout.gap, height + layout.label + layout.gap
-    sheet = Image.new("RGB", (columns * step[0] + layout.gap, rows * step[1] + layout.gap), "white")
+    step = cell + gap, height + label + gap
+    sheet = Image.new("RGB", (columns * step[0] + gap, rows * step[1] + gap), "white")
     draw = ImageDraw.Draw(sheet)
     for place, index in enumerate(tracked(chosen.tolist(), report)):
-        x = layout.gap + (place % columns) * step[0]
-        y = layout.gap + (place // columns) * step[1]
+        x = gap + (place % columns) * step[0]
+        y = gap + (place // columns) * step[1]
         sheet.paste(framing(recording.picture(index)), (x + (cell - width) // 2, y))
-        middle = x + cell / 2, y + height + layout.offset
+        middle = x + cell / 2, y + height + margin
         draw.text(middle, captions[place], fill="black", font=font, anchor="ma")
         if place == len(chosen) - 1:
             # The file is written before the last report, because writing takes a while too.

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,32 +31,23 @@ def _pictures(recording: Recording, style: FrameStyle, report: Report) -> Iterat
         yield framing.unscaled(frame) if style.canvas == "dynamic" else framing(frame)
 
 
-def _names(recording: Recording) -> Iterator[str]:
-    digits = max(4, len(str(len(recording) - 1)))
-    return (f"frame-{number:0{digits}d}" for number in range(len(recording)))
-
-
-@encoding("PNG")
-def write_png_folder(recording: Recording, style: FrameStyle, folder: Path, report: Report) -> None:
-    """Write a new folder of PNG files."""
-    folder.mkdir()
-    info = as_png_info(recording.parameters)
-    for name, picture in zip(_names(recording), _pictures(recording, style, report), strict=True):
-        picture.save(folder / f"{name}.png", pnginfo=info)
-
-
-@encoding("TIFF")
-def write_tiff_folder(
-    recording: Recording, style: FrameStyle, folder: Path, report: Report
+def _write_folder(
+    ending: str, recording: Recording, style: FrameStyle, folder: Path, report: Report
 ) -> None:
-    """Write a new folder of TIFF files."""
+    """Write a new folder of PNG or TIFF files."""
     folder.mkdir()
-    text = as_text(recording.parameters)
-    for name, picture in zip(_names(recording), _pictures(recording, style, report), strict=True):
-        # The file is encoded in memory, because libtiff prints a message of its own on a full disk.
-        file = BytesIO()
-        picture.save(file, format="TIFF", compression=DEFLATE, description=text)
-        (folder / f"{name}.tif").write_bytes(file.getvalue())
+    digits = max(4, len(str(len(recording) - 1)))
+    known = as_png_info(recording.parameters), as_text(recording.parameters)
+    with encoding("PNG" if ending == "png" else "TIFF"):
+        for number, picture in enumerate(_pictures(recording, style, report)):
+            place = folder / f"frame-{number:0{digits}d}.{ending}"
+            if ending == "png":
+                picture.save(place, pnginfo=known[0])
+                continue
+            # It is encoded in memory, because libtiff prints a message of its own on a full disk.
+            file = BytesIO()
+            picture.save(file, format="TIFF", compression=DEFLATE, description=known[1])
+            place.write_bytes(file.getvalue())
 
 
 @encoding("TIFF")
@@ -92,11 +84,11 @@ FORMATS = (
         signatures=TIFF_SIGNATURES, relevant_options=SIZES,
     ),
     Format(
-        name="png-folder", endings=("",), write=write_png_folder, read_metadata=read_png,
-        signatures=((0, b"\x89PNG"),), folder=True, relevant_options=SIZES,
+        name="png-folder", endings=("",), write=partial(_write_folder, "png"),
+        read_metadata=read_png, signatures=((0, b"\x89PNG"),), folder=True, relevant_options=SIZES,
     ),
     Format(
-        name="tiff-folder", endings=(), write=write_tiff_folder, read_metadata=read_tiff,
-        signatures=TIFF_SIGNATURES, folder=True, relevant_options=SIZES,
+        name="tiff-folder", endings=(), write=partial(_write_folder, "tif"),
+        read_metadata=read_tiff, signatures=TIFF_SIGNATURES, folder=True, relevant_options=SIZES,
     ),
 )  # fmt: skip

@@ -3,7 +3,7 @@
 import base64
 import io
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,21 +30,6 @@ ADVANCE = 1.25
 WEBP_SIDE = 16383
 
 
-class Encoded(NamedTuple):
-    """A frame as text."""
-
-    #: The encoded frame in Base64.
-    text: str
-    #: The media type.
-    kind: str
-    #: (height, width).
-    size: tuple[int, int]
-    #: Quality of lossy WebP; 100 stands for no loss.
-    quality: int
-    #: Whether the frame has opacity.
-    alpha: bool
-
-
 class Encoder:
     """Encodes `count` frames within `max_bytes` of text; from the first too large one with loss."""
 
@@ -55,12 +40,13 @@ class Encoder:
         self._bytes_left = max_bytes
         self._max_bytes = max_bytes
         self._webp = bool(features.check("webp"))
-        #: (height, width) of the frames so far, and their qualities.
+        #: (height, width) of the frames so far, their qualities, and whether one has opacity.
         self.sizes: list[tuple[int, int]] = []
         self.qualities: list[int] = []
+        self.alpha = False
 
-    def encode(self, frames: Iterable[NDArray[np.uint8]]) -> Iterator[Encoded]:
-        """Yield frames (H, W, 3 or 4) of uint8 as texts; some ahead are compressed in threads."""
+    def encode(self, frames: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[str, str]]:
+        """Yield the media type and the Base64 of frames (H, W, 3 or 4); threads work ahead."""
         from PIL import Image
 
         pictures = (Image.fromarray(np.ascontiguousarray(frame)) for frame in frames)
@@ -76,7 +62,7 @@ class Encoder:
             return None
         return _text(picture, *((WEBP, LOSSLESS) if self._is_webp(picture) else (PNG, OPTIMAL)))
 
-    def _within_share(self, picture: "Image", without_loss: str | None) -> Encoded:
+    def _within_share(self, picture: "Image", without_loss: str | None) -> tuple[str, str]:
         webp = self._is_webp(picture)
         share = self._bytes_left / (self._count - len(self.sizes))
         qualities: list[int] = [100] if min(self.qualities, default=100) == 100 else []
@@ -89,10 +75,8 @@ class Encoder:
                 self._bytes_left -= len(text)
                 self.sizes.append((picture.height, picture.width))
                 self.qualities.append(quality)
-                kind = WEBP if webp else PNG
-                return Encoded(
-                    text, f"image/{kind.lower()}", self.sizes[-1], quality, picture.mode == "RGBA"
-                )
+                self.alpha = self.alpha or picture.mode == "RGBA"
+                return f"image/{(WEBP if webp else PNG).lower()}", text
         raise OutputError(
             f"the page would take more than {self._max_bytes / 1e6:.3g} MB: use fewer or smaller "
             "frames, or write a .gif or a folder of frames"

@@ -9,21 +9,18 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from html import escape
 from importlib.resources import files
-from os import PathLike
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.printable import MESSAGE, printable, reason_of
-from clmorph._shared.validation import check_number
-from clmorph.errors import InputError
+from clmorph._shared.printable import MESSAGE, printable
 from clmorph.measures.landmark_options import MAX_LANDMARKS
-from clmorph.output.bounded import MAX_HEAD, from_text
+from clmorph.output.bounded import MAX_HEAD
 from clmorph.output.html.encoding import Encoder
 from clmorph.output.html.geometry import frame_boxes
-from clmorph.output.html.scene import Marks, Scene, as_json
+from clmorph.output.html.scene import Scene, as_json
 
 #: The limit of the size of all frames in a page, in bytes of text; a phone still opens such a page.
 PAGE_BYTES = 100e6
@@ -53,19 +50,13 @@ def page(scene: Scene, *, max_bytes: float = PAGE_BYTES) -> str:
 
 def write_page(scene: Scene, file: TextIO, *, max_bytes: float = PAGE_BYTES) -> None:
     """Write a page that plays a scene, frame by frame; its own policy lets it load nothing else."""
-    max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e12)
-    for part in _parts(scene, max_bytes):
-        file.write(part)
-
-
-def _parts(scene: Scene, max_bytes: float) -> Iterator[str]:
-    style, script = _style(), _script()
+    style, script = "\n" + _resource("viewer.css"), _script()
     slots = {
         "policy": (
-            f"default-src 'none'; img-src data: blob:; style-src '{_digest(style)}'; "
-            f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'none'"
+            f"default-src 'none'; img-src data: blob:; style-src '{digest(style)}'; "
+            f"script-src '{digest(script)}'; base-uri 'none'; form-action 'none'"
         ),
-        "title": _ascii(scene.title),
+        "title": ascii_html(scene.title),
         "style": style,
         "script": script,
         "parameters": PARAMETERS + as_json("parameters", dict(scene.parameters)) + "</script>",
@@ -73,29 +64,26 @@ def _parts(scene: Scene, max_bytes: float) -> Iterator[str]:
     }
     # Only marks in the template are replaced, never marks inside the inserted text.
     for index, part in enumerate(re.split(r"\{\{(\w+)\}\}", _resource("viewer.html"))):
-        if index % 2 == 0:
-            yield part
-        elif part == "frames":
-            yield from _frames(scene, max_bytes)
+        if index % 2 and part == "frames":
+            file.writelines(_frames(scene, max_bytes))
         else:
-            yield slots[part]
+            file.write(slots[part] if index % 2 else part)
 
 
 def _frames(scene: Scene, max_bytes: float) -> Iterator[str]:
     """Yield each frame as a data block, and at last the data that the script needs about them."""
     encoder = Encoder(len(scene.times), max_bytes)
-    alpha = False
-    for encoded in encoder.encode(scene.frames):
-        alpha = alpha or encoded.alpha
-        yield f'<script type="{encoded.kind}" class="frame">{encoded.text}</script>\n'
+    for kind, frame in encoder.encode(scene.frames):
+        yield f'<script type="{kind}" class="frame">{frame}</script>\n'
     notes = [printable(note, MESSAGE) for note in (*scene.notes, encoder.note) if note]
+    marks = scene.marks
     known = {
         "times": _numbers(scene.times, 12),
         "fps": float(scene.fps),
         "hold": float(scene.hold),
         "loop": scene.loop,
         "pixelated": bool(scene.pixelated),
-        "alpha": alpha,
+        "alpha": encoder.alpha,
         "sizes": [[width, height] for height, width in encoder.sizes],
         "boxes": _numbers(frame_boxes(encoder.sizes, scene.times, scene.extent), 9),
         "curves": [
@@ -113,20 +101,16 @@ def _frames(scene: Scene, max_bytes: float) -> Iterator[str]:
             for field in scene.fields
         ],
         "notes": notes,
-        "marks": None if scene.marks is None else _marks(scene.marks),
+        "marks": marks
+        and {
+            "pairs": _numbers(marks.pairs, 9),
+            "sizes": [[int(width), int(height)] for height, width in marks.shapes],
+            "backwards": bool(marks.backwards),
+            "most": MAX_LANDMARKS,
+        },
     }
     text = as_json("scene", known)
     yield f'<script type="application/json" id="clmorph-scene">{text}</script>'
-
-
-def _marks(marks: Marks) -> dict[str, Any]:
-    """Return what the script needs about landmarks."""
-    return {
-        "pairs": _numbers(marks.pairs, 9),
-        "sizes": [[int(width), int(height)] for height, width in marks.shapes],
-        "backwards": bool(marks.backwards),
-        "most": MAX_LANDMARKS,
-    }
 
 
 def _numbers(values: NDArray[np.float64], digits: int = 5) -> Any:
@@ -149,10 +133,10 @@ def _rows(parameters: Any) -> Iterator[str]:
         shown = ", ".join(
             part if isinstance(part, str) else json.dumps(part, ensure_ascii=False) for part in flat
         )
-        yield f"<tr><th scope=row>{_ascii(str(name))}</th><td>{_ascii(shown)}</td></tr>\n"
+        yield f"<tr><th scope=row>{ascii_html(str(name))}</th><td>{ascii_html(shown)}</td></tr>\n"
 
 
-def _ascii(text: str) -> str:
+def ascii_html(text: str) -> str:
     """Escape text from an unknown source for HTML: in ASCII, short, without control characters."""
     return escape(printable(text, MESSAGE)).encode("ascii", "xmlcharrefreplace").decode("ascii")
 
@@ -163,38 +147,21 @@ def _resource(name: str) -> str:
 
 
 @cache
-def _style() -> str:
-    return "\n" + _resource("viewer.css")
-
-
-@cache
 def _script() -> str:
     parts = "\n".join(_resource(name) for name in SCRIPTS)
     return f'\n(() => {{\n"use strict";\n{parts}}})();\n'
 
 
-def _digest(text: str) -> str:
+def digest(text: str) -> str:
     """Return the hash by which a Content-Security-Policy permits an element."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
-    """Return the parameters in a page that `write_page` made, without running its script."""
-    try:
-        # The frames stand behind the parameters and are not read.
-        with Path(path).open("rb") as file:
-            text = file.read(HEAD)
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(
-            f"{path}: cannot be read ({reason_of(error)}); expected a page of clmorph"
-        ) from None
+def read_metadata(path: Path) -> str:
+    """Return the text of the parameters in a page that `write_page` made; "" if there is none."""
+    # The frames stand behind the parameters and are not read.
+    with path.open("rb") as file:
+        text = file.read(HEAD)
     start = text.find(PARAMETERS.encode())
     end = text.find(b"</script>", start)
-    block = text[start + len(PARAMETERS) : end] if 0 <= start < end else b""
-    try:
-        parameters = from_text(block)
-    except (ValueError, RecursionError):
-        parameters = None
-    if not isinstance(parameters, dict):
-        raise InputError(f"{path}: it holds no parameters; expected a page that clmorph wrote")
-    return parameters
+    return text[start + len(PARAMETERS) : end].decode() if 0 <= start < end else ""

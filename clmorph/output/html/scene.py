@@ -68,10 +68,10 @@ class Scene:
     curves: Sequence[Curve] = ()
     #: One field for each morph of a chain.
     field: Field | Sequence[Field] | None = None
-    #: As `json.dumps` accepts them. The page shows them as a table, and `read_parameters` returns
-    #: them.
+    #: As `json.dumps` accepts them. The page shows them as a table, and `read_metadata` returns
+    #: their text.
     parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    #: Further rows of the table, which `read_parameters` does not return.
+    #: Further rows of the table, which are not read back.
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     #: Position of the frames in the common frame, as the measures were lifted.
     extent: str = "true"

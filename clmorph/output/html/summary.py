@@ -1,6 +1,5 @@
 """Build the content of a page from a morph: frames, curves, arrows and parameters."""
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from clmorph.frames.options import BULGING
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
 from clmorph.output.html.scene import Curve, Field, Marks, Scene
-from clmorph.output.options import FPS, PlaybackOptions
 from clmorph.transport.plan import Plan
 
 Array = NDArray[np.float64]
@@ -22,48 +20,17 @@ ARROWS = 24
 FAINTEST = 1e-3
 
 
-def scene_of(
-    morph: FrameSequence,
-    frames: Sequence[NDArray[Any]] | None = None,
-    *,
-    times: NDArray[np.float64] | None = None,
-    fps: float = FPS,
-    hold: float = PlaybackOptions.hold,
-    loop: str = "ping-pong",
-    title: str | None = None,
-    pixelated: bool | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    notes: Sequence[str] = (),
-) -> Scene:
-    """Return the content of a page about a morph; most arguments are those of `Scene`.
-
-    `frames` are (H, W, 3) or (H, W, 4) at `times`, uint8 or floats in [0, 1]; with None each is
-    rendered when it is read. `parameters` replace or complement those of the morph itself.
-    """
-    chosen = morph.times if times is None else np.asarray(times, np.float64)
-
-    def picture(index: int) -> NDArray[np.uint8]:
-        if frames is None:
-            return to_bytes(morph.frame(float(chosen[index])))
-        return to_bytes(np.asarray(frames[index]))
-
-    if pixelated is None:
-        pixelated = morph.pixelated
-    return Scene(
-        frames=MadeItems(picture, len(chosen if frames is None else frames)),
-        times=chosen,
-        fps=fps,
-        hold=hold,
-        loop=loop,
-        title=morph.title if title is None else title,
-        pixelated=pixelated,
-        curves=morph_curves(morph, chosen),
-        field=arrow_field(morph),
-        parameters=known_parameters(morph) | dict(parameters or {}),
-        extent=morph.source.extent,
-        notes=notes,
-        marks=marks_of(morph),
-    )
+def scene_of(morph: FrameSequence, times: Array | None = None, **more: Any) -> Scene:
+    """Return the content of a page about a morph at `times`; `more` are other fields of `Scene`."""
+    chosen = morph.times if times is None else times
+    known: dict[str, Any] = {
+        "frames": MadeItems(lambda index: to_bytes(morph.frame(float(chosen[index]))), len(chosen)),
+        "times": chosen, "title": morph.title, "pixelated": morph.pixelated,
+        "curves": morph_curves(morph, chosen), "field": arrow_field(morph),
+        "parameters": known_parameters(morph), "extent": morph.source.extent,
+        "marks": marks_of(morph),
+    }  # fmt: skip
+    return Scene(**known | more)
 
 
 def marks_of(morph: FrameSequence, *, backwards: bool = False) -> Marks:
