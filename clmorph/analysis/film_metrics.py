@@ -483,14 +483,15 @@ def _low_band_distance(frame: Array, particles: Array) -> float:
     return float(np.sqrt(((bands[0] - bands[1]) ** 2).sum(axis=-1).mean()))
 
 
-def _steps(film: list[Array]) -> list[float]:
+def steps(film: list[Array]) -> list[float]:
+    """Return the root mean square change from each picture to the next."""
     return [float(np.sqrt(np.mean((after - before) ** 2))) for before, after in pairwise(film)]
 
 
 def _unevenness(film: list[Array]) -> float:
-    steps = _steps(film)
-    return max(steps) / max(float(np.mean(steps)), NO_STEP)
+    found = steps(film)
+    return max(found) / max(float(np.mean(found)), NO_STEP)
 
 
 def _flicker(film: list[Array]) -> float:
-    return sum(_steps(film)) / max(sum(_steps(film[::2])), NO_STEP)
+    return sum(steps(film)) / max(sum(steps(film[::2])), NO_STEP)

@@ -41,7 +41,7 @@ from clmorph.pipeline.presets import PresetName
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.displacement import Displacement, displacement_of, displacement_statistics
 from clmorph.transport.divergence import sinkhorn_divergence
-from clmorph.transport.options import MAX_DRAWS, PruningOptions, Reach, SolverOptions
+from clmorph.transport.options import MAX_DRAWS, PruningOptions, SolverOptions
 from clmorph.transport.plan import BYTES_PER_PAIR, Plan
 from clmorph.transport.plan_building import transport_plan
 from clmorph.transport.potentials import Potentials
@@ -154,8 +154,9 @@ def inspect(
     found, why = None, _no_divergence(source, potentials, divergence, maps)
     if not why:
         report("divergence", 0.0)
+        assert not isinstance(potentials.reach, tuple)
         found = sinkhorn_divergence(
-            source, target, potentials.blur, _one(potentials.reach), tol, max_iter, operations,
+            source, target, potentials.blur, potentials.reach, tol, max_iter, operations,
             cross=potentials, progress=lambda share: report("divergence", share),
         )  # fmt: skip
 
@@ -274,11 +275,6 @@ def _no_divergence(source: Measure, potentials: Potentials, wanted: bool, maps: 
     return ""
 
 
-def _one(reach: Reach) -> float | None:
-    assert not isinstance(reach, tuple)  # `_no_divergence` has excluded a pair
-    return reach
-
-
 def _streamed_displacement(
     source: Measure,
     target: Measure,
@@ -287,11 +283,8 @@ def _streamed_displacement(
     operations: Operations,
 ) -> Displacement:
     """Return the displacement by the whole plan, without building it."""
-    moments, rows, columns = (
-        np.zeros((len(source), 2)),
-        np.zeros(len(source)),
-        np.zeros(len(target)),
-    )
+    moments = np.zeros((len(source), 2))
+    rows, columns = np.zeros(len(source)), np.zeros(len(target))
     for part, potentials in zip(parts, solved, strict=True):
         points = part.points or (np.arange(len(source)), np.arange(len(target)))
         clouds = [

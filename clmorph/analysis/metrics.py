@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +23,7 @@ from clmorph.analysis.film_metrics import (
     relative_crumbs,
     relative_sharpness,
     speck_share,
+    steps,
     unevenness,
 )
 from clmorph.backends.arrays import as_floats
@@ -271,9 +271,7 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
         raise InputError(f"{len(pictures)} frames: expected at least 2, to have steps between them")
     height, width = (max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
     pictures = [resized(picture, (height, width)) for picture in pictures]
-    return np.array(
-        [np.sqrt(np.mean((after - before) ** 2)) for before, after in pairwise(pictures)]
-    )
+    return np.array(steps(pictures))
 
 
 def _luma(frame: ArrayLike) -> Array:

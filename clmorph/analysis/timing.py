@@ -16,6 +16,7 @@ from clmorph.frames.particles import particles
 from clmorph.images.detail import auto_sigma
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
+from clmorph.pipeline.film import picture_of
 from clmorph.pipeline.pair_count import part_of
 from clmorph.transport._solver.plan_softmin import clouds_of
 from clmorph.transport._solver.problem import uploaded
@@ -77,16 +78,8 @@ def fill_seconds(
     f, g, epsilon = potentials.f[chosen], potentials.g, potentials.epsilon
     thresholds = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon
     thresholds += np.log(some.weights * 1e-4)
-    arguments = (
-        rows,
-        columns,
-        f,
-        g,
-        epsilon,
-        thresholds,
-        np.full(len(g), np.inf),
-        potentials.precise,
-    )
+    none = np.full(len(g), np.inf)
+    arguments = rows, columns, f, g, epsilon, thresholds, none, potentials.precise
     counts = operations.count_plan_rows(*arguments)
     seconds = _seconds(lambda: operations.plan_rows(*arguments, counts))
     return seconds * pairs / max(1, int(counts.sum()))
@@ -106,7 +99,7 @@ def _time(
     labels: Labels,
 ) -> tuple[float, float]:
     """Return the seconds of one frame, and those of the preparation before the first frame."""
-    start, end = (auto_sigma(image) for image in _images(source, target))
+    start, end = (auto_sigma(picture_of(measure)) for measure in (source, target))
     width = KernelWidth(start, end, 0.0, 1.0, 1.0, RenderOptions.splatting)
     made: list[FrameRenderer] = []
 
@@ -131,17 +124,6 @@ def _time(
     for _ in range(PASSES):
         drawn += [_seconds(lambda t=t: made[0].frame(t)) / PASSES for t in TIMES]  # type: ignore[misc]
     return float(drawn @ SHARES), once
-
-
-def _images(source: Measure, target: Measure) -> list[Any]:
-    """Return both images with their opacity."""
-    images = []
-    for measure in (source, target):
-        image = measure.colors.reshape(*measure.shape, 3)
-        if measure.alpha is not None:
-            image = np.dstack((image, measure.alpha.reshape(measure.shape)))
-        images.append(image)
-    return images
 
 
 def _thinned(plan: Plan, count: int) -> Plan:

@@ -9,7 +9,7 @@ from typing import Any
 from clmorph._shared.validation import shown
 from clmorph.errors import ClmorphError, DeviceError, InputError
 
-#: Held by the task that computes, where a worker has several threads.
+#: Held by the task that computes, where a worker has several threads: a device is one.
 TURN = threading.Lock()
 
 

@@ -3,12 +3,10 @@
 import base64
 import io
 import math
-import threading
 import time
 import warnings
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from clmorph._shared.printable import MESSAGE, printable, reason_of
+from clmorph._shared.validation import check_progress
 from clmorph.backends.select import get_backend
+from clmorph.batch.extra import TURN
 from clmorph.batch.jobs import Job
 from clmorph.batch.places import is_remote, local_copy, local_output
 from clmorph.errors import ClmorphError, ClmorphWarning, ConvergenceWarning, MemoryWarning
@@ -33,8 +33,6 @@ from clmorph.pipeline.prepare import fitted, recognized
 from clmorph.pipeline.recipe import picture_entries, recipe
 from clmorph.pipeline.result import Morph
 
-#: One job at a time in a process, even if its worker has several threads: a device is one.
-_TURN = threading.Lock()
 #: Height in pixels of the thumbnails, and their frames in parts of the playback.
 HEIGHT, SHOWN = 56, (0.0, 0.5, 1.0)
 
@@ -43,7 +41,7 @@ def run_job(job: Job, key: str, device: str) -> dict[str, Any]:
     """Do one job whose identity is `key`, and return its record; an error becomes one, too."""
     began = time.perf_counter()
     try:
-        with _TURN, warnings.catch_warnings(record=True) as found:
+        with TURN, warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("ignore")
             warnings.simplefilter("always", ClmorphWarning)
             warnings.simplefilter("ignore", ConvergenceWarning)
@@ -86,7 +84,9 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
         options = guides(whole, [(0, 1)], options, maps).of(0)
         pictures = fitted(whole, options)
         operations = get_backend(device)
-        morph = ImagePair(pictures, options, shapes_of(whole), maps).morph(operations, _silent)
+        morph = ImagePair(pictures, options, shapes_of(whole), maps).morph(
+            operations, check_progress(None)
+        )
 
         def metadata() -> dict[str, Any]:
             entries = picture_entries(images)
@@ -105,20 +105,12 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
                 options = options.replace(max_memory=default_memory(operations))
                 film = replace(film, parameters=metadata())
             write_all([place], film, options)
+            files = [each for each in (path, *path.rglob("*")) if each.is_file()]
             return _figures(morph, film) | {
                 "device": operations.description,
-                "bytes": _size(path),
+                "bytes": sum(each.stat().st_size for each in files),
                 "remote": is_remote(job.output),
             }
-
-
-def _silent(stage: str, share: float) -> None:
-    pass
-
-
-def _size(path: Path) -> int:
-    files = path.rglob("*") if path.is_dir() else [path]
-    return sum(each.stat().st_size for each in files if each.is_file())
 
 
 def _figures(morph: Morph, film: Recording) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Rendered frames of a morph or of a chain of morphs, from which files are written."""
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,16 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.items import MadeItems
-from clmorph._shared.progress import Share
+from clmorph._shared.progress import Share, StageProgress
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
 from clmorph.output.framing import Framing, in_time
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion
 from clmorph.output.spool import Spool
-
-#: Called with a stage's name and the share of it that is done.
-StageProgress = Callable[[str, float], None]
 
 
 class Drawn(Protocol):

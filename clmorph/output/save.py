@@ -24,6 +24,7 @@ from clmorph._shared.files import (
     write_together,
 )
 from clmorph._shared.options import Options, specifications, unknown_option
+from clmorph._shared.progress import StageProgress
 from clmorph._shared.validation import check_choice, check_progress, is_path, shown
 from clmorph.errors import InputError, OutputError
 from clmorph.frames.sequence import FrameSequence
@@ -34,7 +35,7 @@ from clmorph.output.formats.solved import SAVED as SAVED_RESULTS
 from clmorph.output.metadata import checked_parameters
 from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.output.playback import Motion, motion_of
-from clmorph.output.recording import Drawn, Recording, StageProgress, recorded
+from clmorph.output.recording import Drawn, Recording, recorded
 from clmorph.transport.divergence import Divergence
 from clmorph.transport.matching import Assignment
 from clmorph.transport.plan import Plan

@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from fractions import Fraction
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -95,10 +94,3 @@ class Frames:
         top, left = (size[1] - inner[0]) // 2, (size[0] - inner[1]) // 2
         page[top : top + inner[0], left : left + inner[1]] = scaled
         return page
-
-
-def frames_of(name: str, given: Any, max_pixels: int) -> Frames:
-    """Return what was given as frames, or raise InputError."""
-    if isinstance(given, str | PathLike) and not str(given):
-        raise InputError(f"{name} is empty: expected the path of a clip")
-    return Frames(name, given, max_pixels)

@@ -24,7 +24,7 @@ from clmorph.frames.ends import ends_of
 from clmorph.frames.layers import Layers
 from clmorph.images.pixels import MAX_PIXELS, reduced_shape
 from clmorph.output.playback import eased
-from clmorph.pipeline.clip_frames import Frames, Size, frames_of
+from clmorph.pipeline.clip_frames import Frames, Size
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.morph import ImagePair
@@ -130,7 +130,7 @@ def clip_film(
             "are held in memory"
         )
     max_pixels = check_max_pixels(max_pixels)
-    ends = frames_of("source", source, max_pixels), frames_of("target", target, max_pixels)
+    ends = Frames("source", source, max_pixels), Frames("target", target, max_pixels)
     if all(end.still is not None for end in ends):
         raise InputError("source and target are stills: expected a clip; see clmorph.morph")
     rates = [end.rate for end in ends if end.rate is not None]
@@ -232,6 +232,13 @@ class ClipFilm:
         def pair(first: AnyArray, second: AnyArray) -> tuple[Any, Any]:
             return source.shown(first, self.size), target.shown(second, self.size)
 
+        def drawn(carried: Moment, number: int) -> NDArray[np.float32]:
+            shown = pair(firsts[number], others.popleft())
+            return carried.frame(
+                float(times[number]), shown, canvas, extent, self.options.path_space,
+                self.operations,
+            ).astype(np.float32)  # fmt: skip
+
         before: Moment | None = None
         last = 0
         for key in keys:
@@ -245,20 +252,11 @@ class ClipFilm:
             moment, canvas, extent = self._solved(pair(firsts[key], others[-1]))
             for number in range(last, key) if before is not None else ():
                 assert before is not None
-                share = (number - last) / (key - last)
-                drawn = before.towards(moment, share).frame(
-                    float(times[number]), pair(firsts[number], others.popleft()), canvas, extent,
-                    self.options.path_space, self.operations,
-                )  # fmt: skip
-                yield drawn.astype(np.float32)
+                yield drawn(before.towards(moment, (number - last) / (key - last)), number)
                 self.progress("frames", Share((number + 1) / count, f"{number + 1} of {count}"))
             before, last = moment, key
         assert before is not None
-        drawn = before.frame(
-            float(times[-1]), pair(firsts[-1], others.popleft()), canvas, extent,
-            self.options.path_space, self.operations,
-        )  # fmt: skip
-        yield drawn.astype(np.float32)
+        yield drawn(before, count - 1)
         self.progress("frames", Share(1.0, f"{count} of {count}"))
 
     def _solved(self, pictures: tuple[Any, Any]) -> tuple[Moment, Canvas, str]:

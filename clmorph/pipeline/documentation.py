@@ -35,21 +35,17 @@ def documented(
             described = "".join(_described(each, default_of(each)) for each in chosen)
             function.__doc__ = function.__doc__.replace(MARK, described)
         signature = inspect.signature(function)
-        own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
-        function.__signature__ = signature.replace(  # type: ignore[attr-defined]
-            parameters=[
-                *own,
-                *(
-                    inspect.Parameter(
-                        each.name,
-                        inspect.Parameter.KEYWORD_ONLY,
-                        default=default_of(each),
-                        annotation=annotation(each.type),
-                    )
-                    for each in chosen
-                ),
-            ]
-        )
+        known = [
+            each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD
+        ]
+        by_name = inspect.Parameter.KEYWORD_ONLY
+        known += [
+            inspect.Parameter(
+                each.name, by_name, default=default_of(each), annotation=annotation(each.type)
+            )
+            for each in chosen
+        ]
+        function.__signature__ = signature.replace(parameters=known)  # type: ignore[attr-defined]
         return function
 
     return decorate

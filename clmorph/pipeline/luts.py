@@ -88,7 +88,7 @@ def apply_lut(
         raise InputError(f"lut={shown(lut)}: expected a Lut, as clmorph.read_lut returns it")
     check_number("strength", strength, 0.0, 1.0)
     pixels = as_pixels(image, "image")
-    amount = None if mask is None else as_mask(mask, (pixels.shape[0], pixels.shape[1]))
+    amount = as_mask(mask, (pixels.shape[0], pixels.shape[1]))
     return graded(pixels, lut, amount, strength, get_backend(backend)).view(Recolored)
 
 
@@ -154,7 +154,7 @@ def fit_lut(
     nodes = check_integer("size", size, LEAST, MOST)
     report = check_progress(progress)
     pixels, other = as_pixels(image, "image"), as_pixels(like, "like")
-    amount = None if mask is None else as_mask(mask, (pixels.shape[0], pixels.shape[1]))
+    amount = as_mask(mask, (pixels.shape[0], pixels.shape[1]))
     look = look_of(pixels, other, chosen, amount, get_backend(backend), report)
     return lut_of(look, nodes, report)
 

@@ -271,7 +271,7 @@ class ImagePair:
         )  # fmt: skip
         if options.sigma is None:
             return result
-        curve = optimal_curve(result, progress=lambda share: report("width", share))
+        curve = optimal_curve(result, lambda share: report("width", share))
         return replace(result, kernel_width=replace(result.kernel_width, curve=curve))
 
     def _kernel_width(
@@ -287,20 +287,12 @@ class ImagePair:
                 (options.sigma_start, options.sigma_end), lifted, self.images, strict=True
             )
         )
-        counts = _effective_counts(source, target, plan, options.unmatched)
-        return KernelWidth(start, end, options.gamma or 0.0, *counts, options.splatting)
+        # N_eff (Eq. 3) of the masses that are drawn at both ends.
+        drawn = (source.weights, target.weights)
+        first, last = map(effective_count, plan.marginals if options.unmatched == "drop" else drawn)
+        return KernelWidth(start, end, options.gamma or 0.0, first, last, options.splatting)
 
 
 def shapes_of(images: Sequence[Picture]) -> list[tuple[int, int]]:
     """Return the height and the width of each image."""
     return [(image.shape[0], image.shape[1]) for image in images]
-
-
-def _effective_counts(
-    source: Measure, target: Measure, plan: Plan | Barycentric, unmatched: str
-) -> tuple[float, float]:
-    """Return N_eff (Eq. 3) of the masses drawn at both ends; with "drop" the plan's marginals."""
-    if unmatched != "drop":
-        return effective_count(source.weights), effective_count(target.weights)
-    row_mass, column_mass = plan.marginals
-    return effective_count(row_mass), effective_count(column_mass)

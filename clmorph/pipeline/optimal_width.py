@@ -11,20 +11,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_progress
 from clmorph.backends.multi_device import members_of
-from clmorph.errors import InputError
 from clmorph.frames.as_measure import frame_measure, particle_measure
 from clmorph.frames.render import Widths
-from clmorph.frames.sequence import check_frame_sequence
 from clmorph.pipeline.result import Morph
 from clmorph.transport.divergence import sinkhorn_divergence
 
-#: Error message for a morph without a divergence.
-NO_DIVERGENCE = (
-    "sigma='optimal' needs a divergence: one reach for both images, and one color metric for all "
-    "pixels"
-)
 #: Times at which widths are optimized; widths at other times are interpolated. At the ends, where
 #: particles stand on pixels, the narrowest width is the best, so the next times are near the ends.
 KNOTS = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
@@ -37,13 +29,9 @@ POINTS = 4096
 
 
 def optimal_curve(
-    morph: Morph, *, progress: Callable[[float], None] | None = None
+    morph: Morph, report: Callable[[float], None]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the kernel widths, times and pixels, whose frames are nearest to the particles."""
-    report = check_progress(progress)
-    check_frame_sequence(morph)
-    if morph.source.has_metric_map or isinstance(morph.potentials.reach, tuple):
-        raise InputError(NO_DIVERGENCE)
     widths = []
     for number, t in enumerate(KNOTS):
         widths.append(_least(_objective(morph, float(t))))
@@ -55,8 +43,7 @@ def _objective(morph: Morph, t: float) -> Callable[[float], float]:
     """Return the divergence of the frame at t to its particles, as a function of the width."""
     particles, _ = particle_measure(morph, t, max_points=POINTS)
     blur, reach = morph.potentials.blur, morph.potentials.reach
-    assert not isinstance(reach, tuple)  # the caller has checked it
-
+    assert not isinstance(reach, tuple)  # the options have been checked
     local, device = morph.kernel_width.splatting == "local", members_of(morph.operations)[0]
 
     def divergence(width: float) -> float:

@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_integer
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
 from clmorph.transport._solver.plan_softmin import clouds_of
 from clmorph.transport._solver.problem import uploaded
-from clmorph.transport.options import PlanOptions, PruningOptions
+from clmorph.transport.options import PruningOptions
 from clmorph.transport.potentials import Potentials
 
 Array = NDArray[np.float64]
@@ -26,7 +25,6 @@ def predict_pairs(
     target: MeasureLike,
     potentials: Potentials,
     *,
-    relative: float = PruningOptions.relative,
     log_threshold: float | None = None,
     rows: int = SAMPLED_ROWS,
     seed: int = 0,
@@ -34,10 +32,7 @@ def predict_pairs(
 ) -> int:
     """Predict how many pairs `clmorph.transport_plan` keeps, from sampled rows and columns."""
     source, target = as_pair(source, target)
-    relative = PruningOptions.checked("relative", relative)
-    log_threshold = PlanOptions.checked("log_threshold", log_threshold)
-    rows = check_integer("rows", rows, 1, 1 << 24)
-    rng = np.random.default_rng(check_integer("seed", seed, 0, 2**63))
+    rng = np.random.default_rng(seed)
     operations = get_backend(backend)
     clouds = clouds_of(operations, (source, target), potentials)
     sides = [
@@ -60,7 +55,7 @@ def predict_pairs(
         operations.row_maxima(own.part, other.cloud, other.potential, epsilon)
         + own.few / epsilon
         + own.log_weights
-        + np.log(relative)
+        + np.log(PruningOptions.relative)
         for own, other in (sides, sides[::-1])
     ]
     by_side = [

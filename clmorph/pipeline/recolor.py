@@ -100,7 +100,7 @@ def recolor(
     check_for_picture(chosen)
     report = check_progress(progress)
     pixels, other = as_pixels(image, "image"), as_pixels(like, "like")
-    amount = None if mask is None else as_mask(mask, (pixels.shape[0], pixels.shape[1]))
+    amount = as_mask(mask, (pixels.shape[0], pixels.shape[1]))
     return recolored(pixels, other, chosen, amount, backend, report)[0].view(Recolored)
 
 
@@ -246,8 +246,10 @@ def check_for_picture(options: RecolorOptions) -> None:
         )
 
 
-def as_mask(mask: Any, shape: tuple[int, int]) -> Array:
-    """Return a mask for an image of this shape as an (H, W) array in [0, 1]."""
+def as_mask(mask: Any, shape: tuple[int, int]) -> Array | None:
+    """Return a mask for an image of this shape as an (H, W) array in [0, 1]; None without one."""
+    if mask is None:
+        return None
     expected = f"an array (H, W) = {shape} as the image has, with values in [0, 1]"
     values = as_array("mask", mask, expected)
     if values.shape != shape:

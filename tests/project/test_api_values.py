@@ -16,7 +16,6 @@ from api_values import Hostile, OnDevice, cases, check, public_functions, single
 import clmorph
 from clmorph import InputError
 from clmorph.backends.interface import MAX_DIMENSION
-from clmorph.pipeline.optimal_width import optimal_curve
 
 FUNCTIONS = public_functions()
 #: Those that take longest; the others show by default how values are checked.
@@ -327,7 +326,6 @@ def test_progress_must_be_callable(progress):
         lambda: clmorph.sinkhorn(*PLAIN, backend="numpy", progress=progress),
         lambda: clmorph.sinkhorn_divergence(*PLAIN, backend="numpy", progress=progress),
         lambda: clmorph.analysis.metrics.path_divergence(morph, [0.5], progress=progress),
-        lambda: optimal_curve(morph, progress=progress),
         lambda: morph.save("x.png", progress=progress),
     ):
         with pytest.raises(InputError, match=r"progress=.*function"):
