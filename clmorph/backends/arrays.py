@@ -1,9 +1,4 @@
-"""Conversion of callers' arguments to arrays of numbers, in one way everywhere.
-
-Whatever NumPy can make an array from is accepted; a `pyopencl.array.Array` is mapped and read in
-place. Values that NumPy could convert only with a loss (masked entries, imaginary parts, texts,
-sparse matrices) raise an error that names the remedy.
-"""
+"""Convert callers' arguments to arrays of numbers; what would lose values raises an error."""
 
 import contextlib
 from collections.abc import Iterator

@@ -120,16 +120,13 @@ def _words(error: Exception) -> str:
 
 
 def _is_passing(error: BaseException | None, device: cl.Device) -> bool:
-    """Return whether an error, or its cause, is temporary and not a fault of the driver.
-
-    NVIDIA's driver also returns OUT_OF_RESOURCES for an illegal access, after which another context
-    works.
-    """
+    """Return whether an error, or its cause, is temporary and not a fault of the driver."""
     if error is None:
         return False
     if isinstance(error, MemoryError | OSError):
         return True
     code = error.code if isinstance(error, cl.Error) else cl.status_code.SUCCESS
+    # NVIDIA returns it for an illegal access, too, after which another context works.
     if code == cl.status_code.OUT_OF_RESOURCES:
         return not _has_resources(device)
     return code in PASSING or _is_passing(error.__cause__, device)

@@ -26,18 +26,7 @@ _ADVICE = (
 
 
 class Programs:
-    """Builds the kernel files for one device, with one set of constants.
-
-    A program is verified against NumPy when it is built for the first time, in a process of its
-    own, because a driver may crash or hang; see `opencl.probe`. Its verdict is kept under
-    `program_key`. `check_here` checks a variant in this process, where no other can be started;
-    without it programs are not verified at all: so it is in the process that verifies them.
-
-    With `chosen`, constants are those that clmorph chooses for the device. Then a program that
-    computes wrongly or crashes makes the device unusable; one that the compiler refuses, or an
-    optional one that crashes, is only not used. Tuned constants of a program that fails are
-    forgotten instead.
-    """
+    """Builds kernel files for a device and constants; each is verified before its first use."""
 
     def __init__(
         self,
@@ -47,6 +36,8 @@ class Programs:
         check_here: CheckHere | None = None,
         chosen: bool = True,
     ) -> None:
+        # `check_here` checks a program where no process can be started; none is verified without.
+        # With `chosen` constants a wrong program refuses the device, and not only the tuning.
         self._context, self._device, self._constants = context, device, constants
         self._check_here, self._chosen = check_here, chosen
         self._kept: dict[Variant, dict[str, cl.Kernel]] = {}

@@ -22,13 +22,8 @@ _PATIENCE = 10.0
 
 
 def claim_opencl() -> None:
-    """Record that this process uses OpenCL, or refuse it after a fork; cheap for every operation.
-
-    A driver's threads and locks do not survive ``fork``: in the child PoCL waits forever, and other
-    drivers may, even if the parent has only listed its platforms. This function must be called
-    before any lock of this package is taken, because a child also inherits locks that another
-    thread of its parent held.
-    """
+    """Record that this process uses OpenCL, or refuse it after a fork; before any lock is taken."""
+    # A driver's threads and locks do not survive a fork, nor do locks that other threads held.
     global _owner
     process = os.getpid()
     if _owner == process:
@@ -50,12 +45,9 @@ def device_lock() -> "threading.RLock":
 
 @atexit.register
 def _leave_drivers() -> None:
-    """Keep daemon threads out of drivers while the interpreter ends.
-
-    At its end the interpreter stops such a thread when the thread next takes the interpreter's
-    lock. If C++ code takes it, as in pyopencl, the whole process aborts. A thread that waits for
-    a lock of this module just keeps waiting.
-    """
+    """Keep daemon threads out of drivers while the interpreter ends."""
+    # A thread that is stopped while C++ code takes the interpreter's lock aborts the process; one
+    # that waits for a lock of this module just keeps waiting.
     if _owner == os.getpid():  # a forked child has no thread that would release the locks
         for lock in list(_device_locks):
             lock.acquire(timeout=_PATIENCE)

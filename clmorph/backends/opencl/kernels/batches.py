@@ -1,10 +1,7 @@
-"""The log-sum-exp of many problems at once, by ``cl_kernels/log_sum_exp.cl`` with lists of tiles.
-
-The clouds of all problems stand in one sorted cloud, in which each begins a tile. The row tiles of
-a problem list its own column tiles, so one launch sums for all problems.
-"""
+"""The clouds of many problems in one sorted cloud, in which each of them begins a tile."""
 
 import weakref
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +9,7 @@ from numpy.typing import NDArray
 
 from clmorph._shared.boxes import boxes_of_runs
 from clmorph.backends.opencl.build.constants import SENTINEL
-from clmorph.backends.opencl.kernels.clouds import Cloud, centered_tiles, split
-from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.backends.opencl.kernels.clouds import Cloud, upload
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
 from clmorph.backends.opencl.kernels.tiles import tile_order
@@ -91,17 +87,10 @@ class BatchStore:
         # The order of `CloudStore.upload`, so that a problem alone has the same bits.
         order = tile_order(points, size, counts, self._loop.constants.group_rows)
         order = order[np.repeat(starts, tiles * size) + np.minimum(within, last)]
-        with np.errstate(divide="ignore"):
-            log2_weights = np.log2(np.asarray(weights, float)[order])
-        log2_weights = np.where(within > last, SENTINEL, np.maximum(log2_weights, SENTINEL))
-        centers, tiled = centered_tiles(points[order], size)
-        shifts = tiled.reshape(-1, points.shape[1])
-        added = np.zeros(len(order)) if offsets is None else np.asarray(offsets, float)[order]
-        own_costs = 0.5 * np.sum(shifts**2, axis=1) + added
-        return _batch(
-            self._loop.work, order, centers, log2_weights, added, own_costs, split(shifts.T),
-            counts, tiles, boxes,
-        )  # fmt: skip
+        cloud = upload(self._loop.work, size, order, points, weights, offsets, keep=True)
+        masses = np.where(within > last, SENTINEL, cloud.log2_weights)
+        cloud = replace(cloud, log2_weights=masses)
+        return Batch(cloud, counts, tiles, boxes, {})
 
     def take_batch(self, batch: Batch, problems: NDArray[np.int64]) -> Batch:
         """Return a batch of some clouds of a batch."""
@@ -112,40 +101,16 @@ class BatchStore:
         before, after = np.cumsum(batch.counts) - batch.counts, np.cumsum(counts) - counts
         moved = np.repeat(after - before[problems], batch.tiles[problems] * size)
         assert cloud.planes is not None
-        return _batch(
-            self._loop.work, cloud.order[places] + moved, cloud.centers[tiles],
-            cloud.log2_weights[places], cloud.offsets[places], cloud.own_costs[places],
-            cloud.planes[:, :, places], counts, batch.tiles[problems], batch.boxes[problems],
+        planes, boxes = cloud.planes[:, :, places], batch.boxes[problems]
+        centers, work = cloud.centers[tiles], self._loop.work
+        taken = replace(
+            cloud, order=cloud.order[places] + moved, centers=centers,
+            log2_weights=cloud.log2_weights[places], offsets=cloud.offsets[places],
+            own_costs=cloud.own_costs[places], stride=len(places), shifts=cloud.shifts[tiles],
+            shifts_buffer=work.buffer(planes), centers_buffer=work.buffer(centers),
+            box=np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0))), planes=planes,
         )  # fmt: skip
-
-
-def _batch(
-    work: Workspace,
-    order: NDArray[np.intp],
-    centers: Float64,
-    log2_weights: Float64,
-    offsets: Float64,
-    own_costs: Float64,
-    planes: NDArray[np.float32],
-    counts: NDArray[np.int64],
-    tiles: NDArray[np.int64],
-    boxes: Float64,
-) -> Batch:
-    shifts = planes[0].T.reshape(len(centers), -1, centers.shape[1])
-    cloud = Cloud(
-        order=order,
-        centers=centers,
-        log2_weights=log2_weights,
-        offsets=offsets,
-        own_costs=own_costs,
-        stride=len(order),
-        shifts=shifts,
-        shifts_buffer=work.buffer(planes),
-        centers_buffer=work.buffer(centers),
-        box=np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0))),
-        planes=planes,
-    )
-    return Batch(cloud, counts, tiles, boxes, {})
+        return Batch(taken, counts, batch.tiles[problems], boxes, {})
 
 
 def pairs_of(rows: Batch, columns: Batch) -> TilePairs:

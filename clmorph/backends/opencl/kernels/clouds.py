@@ -114,13 +114,15 @@ def upload(
     points: Float64,
     weights: Float64,
     offsets: Float64 | None = None,
+    keep: bool = False,
 ) -> Cloud:
     """Upload (N, D) points, (N,) weights and terms of costs, in the `order` of tiles of a size."""
-    n, dimension = points.shape
+    n, dimension = len(order), points.shape[1]
     n_tiles = -(-n // tile)
     padded = np.pad(points[order], ((0, n_tiles * tile - n), (0, 0)), mode="edge")
     centers, tiles = centered_tiles(padded, tile)
     shifts = tiles.reshape(-1, dimension)
+    planes = split(shifts.T)
     added = np.zeros(n) if offsets is None else np.asarray(offsets, float)[order]
     with np.errstate(divide="ignore"):
         log2_weights = np.log2(np.asarray(weights, float)[order])
@@ -132,9 +134,10 @@ def upload(
         own_costs=0.5 * np.sum(shifts[:n] ** 2, axis=1) + added,
         stride=n_tiles * tile,
         shifts=tiles.astype(np.float32),
-        shifts_buffer=work.buffer(split(shifts.T)),
+        shifts_buffer=work.buffer(planes),
         centers_buffer=work.buffer(centers),
         box=boxes_of_runs(points)[:, 0],
+        planes=planes if keep else None,
     )
 
 

@@ -25,11 +25,7 @@ class ColumnBoxes(NamedTuple):
 def column_boxes(
     loop: RowLoop, columns: Cloud, values: Float64, tile_max: Float64, k: float
 ) -> ColumnBoxes:
-    """Divide the columns of each tile into boxes.
-
-    `values`, (M,), are k g_j + log2 b_j of the sorted columns, SENTINEL where there is no mass;
-    `tile_max`, (tiles,), is the largest of them in each tile, which logits on the device leave out.
-    """
+    """Divide the columns of each tile into boxes, by their k g_j + log2 b_j and its largest."""
     work, constants = loop.work, loop.constants
     if not constants.bounds_first or columns.centers.shape[1] >= SLICED_FROM:
         return ColumnBoxes(*(work.empty(4) for _ in ColumnBoxes._fields))

@@ -79,15 +79,12 @@ def make_cells(sigma: float, radius: float) -> Cells:
 def moments_pay(
     count: int, shape: tuple[int, int], sigma: float, radius: float, block: int
 ) -> bool:
-    """Return whether moments of cells suit a kernel and probably take less time than the gather.
-
-    The costs are in nanoseconds, fitted to measurements on a CPU with two cores of 16 lanes. On
-    other devices both are faster or slower. The canvas has `shape` (height, width) and `count`
-    particles; the gather visits a particle for each block of pixels of side `block`.
-    """
+    """Return whether moments of cells suit a kernel and probably take less time than the gather."""
     side = cell_side(sigma, radius)
     if side is None:
         return False
+    # In nanoseconds, fitted to a CPU with two cores of 16 lanes; the gather visits a particle for
+    # each block of pixels.
     blocks = cells = 1.0
     for length in shape:
         blocks *= min(2 * radius / block + 1, -(-length // block))

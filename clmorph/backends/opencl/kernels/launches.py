@@ -102,11 +102,8 @@ class Workspace:
         return cl.Buffer(self.context, flags, hostbuf=content)
 
     def empty(self, n_bytes: int) -> cl.MemoryObject:
-        """Return an uninitialized buffer.
-
-        When it is garbage, the next buffer of its size reuses its memory: on a CPU the first access
-        to fresh memory takes longer than the work of most kernels there.
-        """
+        """Return an uninitialized buffer, whose memory is used again when it is garbage."""
+        # On a CPU the first access to fresh memory takes longer than the work of most kernels.
         if self._pool.managed_bytes - self._pool.active_bytes > HELD_BYTES:
             self._pool.free_held()
         return self._pool.allocate(max(4, n_bytes))

@@ -278,12 +278,9 @@ def _unit(view: LayerView) -> float:
 
 
 def _untorn(view: LayerView) -> float:
-    """Return up to which distance in the picture, squared, two points of the paths tear nothing.
-
-    Neighbors on a canvas of larger pixels may have many points between them: there is none.
-    """
+    """Return up to which distance, squared, two points of the paths tear nothing."""
     step = max(abs(step) for step in view.to_paths.step)
-    if step > 1.0:
+    if step > 1.0:  # many points between neighbors
         return -1.0
     # Less than what is left, for rounding.
     return float((0.999 * (TEAR - 1.0) * _unit(view) / max(step, 1e-6)) ** 2)

@@ -133,11 +133,7 @@ class LogSumExp:
         bounded: bool = False,
         float32: Float32Pairs | None = None,
     ) -> tuple[Float64, Float64, Float64]:
-        """Return maximum, sum and offset of every sorted row.
-
-        The row's log-sum-exp, to base 2, is maximum + offset + log2(sum). With `float32`, which
-        needs `bounded`, powers are float32, and so are exponents between the tiles it chooses.
-        """
+        """Return maximum, sum and offset (log2) of every row, with powers in `float32`."""
         loop, tile = self._loop, self._loop.constants.tile
         masked = pairs is not None and pairs.masks is not None
         kernel = loop.kernel(

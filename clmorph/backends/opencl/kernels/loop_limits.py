@@ -1,9 +1,7 @@
-"""The amount of work of one launch on devices that end long loops: the quirk ``short_loops``.
+"""The work of one launch on devices that end long loops (``short_loops``), none unrolled."""
 
-Such a device counts the rounds of all loops of a work-item, and a loop of n rounds takes n + 1.
-Every loop of the kernels is counted as if the compiler unrolled none, and work-items may run in
-step: each waits for the others.
-"""
+# Such a device counts the rounds of all loops of a work-item, and a loop of n rounds takes n + 1.
+# Work-items may run in step: each waits for the others.
 
 import sys
 

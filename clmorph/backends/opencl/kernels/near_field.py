@@ -36,16 +36,6 @@ class _Clouds(NamedTuple):
     boxes: ColumnBoxes  #: of the columns
 
 
-class _Kept(NamedTuple):
-    """The kept pairs of tiles, as lists of one item for each part of the row tiles."""
-
-    lengths: list[NDArray[np.int64]]  #: (row tiles,) number of pairs of each
-    tiles: list[NDArray[np.uint32]]  #: (pairs,) see `TilePairs`, as the next two
-    distances: list[Float64]
-    masks: list[tuple[range, cl.Buffer]]
-    columns: list[NDArray[np.int64]]  #: (row tiles, groups) number of columns
-
-
 class NearField:
     """Finds the pairs that contribute to the rows' sums."""
 
@@ -66,20 +56,14 @@ class NearField:
         epsilon: float,
         budget: float,
     ) -> NearPairs:
-        """Find the pairs that contribute to the rows' sums.
-
-        Bounds over pairs of tiles exclude most pairs; threads choose pairs of tiles while the
-        device looks at those that were chosen before. Of these tiles each group of rows takes the
-        columns whose exponent is above a threshold in one of its rows. The threshold is such
-        that all columns of these tiles below it together are within the budget.
-        """
+        """Find the pairs that contribute to the rows' sums: tiles by bounds, then columns."""
         k, tile, n = LOG2_E / epsilon, self._loop.constants.tile, len(rows)
         values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
         guess = -k * (softmin[rows.order] - rows.offsets)
         values = np.maximum(values, SENTINEL)
         # The level of each row tile is set by the pairs that bounds do not exclude.
         exponents = self._loop.unleveled_exponents(rows, columns, potential, epsilon)
-        left, kept = np.empty(len(rows.centers)), _Kept([], [], [], [], [])
+        left, kept, masks = np.empty(len(rows.centers)), [], []
         farthest, farthest_kept = 0.0, 0.0
         bounds = row_bounds(rows, guess, k)
         slopes = self._loop.work.buffer(k * bounds.slopes)
@@ -90,34 +74,29 @@ class NearField:
         ):
             starts = pairs.starts[part.start : part.stop + 1]
             lengths = np.diff(starts)
+            # All columns of these tiles below it are together within the budget.
             threshold = (1 - UNSEEN) * budget / (tile * lengths)
             own = np.maximum.reduceat(pairs.distances, starts[:-1])
             radii = rows.radii[part.start : part.stop] + columns.radii.max()
             farthest = max(farthest, _largest_cost(own, radii))
-            masks, marked = self._marked(clouds, pairs, part, np.log2(threshold))
+            marks, marked = self._marked(clouds, pairs, part, np.log2(threshold))
             of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
-            _complete(masks, marked, of_groups, starts, pairs.distances, tile)
+            _complete(marks, marked, of_groups, starts, pairs.distances, tile)
             keep = functools.reduce(np.maximum, marked.T) > 0
             places = np.flatnonzero(keep)
             below = tile * lengths - of_groups.min(axis=1)
             left[part.start : part.stop] = unseen + below * threshold
-            kept.lengths.append(np.add.reduceat(keep, starts[:-1], dtype=np.int64))
-            kept.tiles.append(pairs.tiles[places])
-            kept.distances.append(pairs.distances[places])
-            radii = np.repeat(rows.radii[part.start : part.stop], kept.lengths[-1])
-            radii += columns.radii[kept.tiles[-1]]
-            farthest_kept = max(farthest_kept, _largest_cost(kept.distances[-1], radii))
-            masks = masks.take(places, axis=0)
-            kept.masks.append((part, self._loop.work.buffer(masks, np.uint64)))
-            kept.columns.append(of_groups)
-        counts, lengths = np.concatenate(kept.columns), np.concatenate(kept.lengths)
+            tiles, distances = pairs.tiles[places], pairs.distances[places]
+            lengths = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
+            radii = np.repeat(rows.radii[part.start : part.stop], lengths) + columns.radii[tiles]
+            farthest_kept = max(farthest_kept, _largest_cost(distances, radii))
+            kept.append((lengths, tiles, distances, of_groups))
+            masks.append((part, self._loop.work.buffer(marks.take(places, axis=0), np.uint64)))
+        lengths, tiles, distances, counts = map(np.concatenate, zip(*kept, strict=True))
         rows_of_group = tile // counts.shape[1]
         # To stage a tile takes about as long as a column for each row of the tile.
         work = rows_of_group * counts.sum(axis=1) + tile * lengths
-        listed = TilePairs(
-            _starts(lengths), np.concatenate(kept.tiles), np.concatenate(kept.distances),
-            kept.masks, _starts(work),
-        )  # fmt: skip
+        listed = TilePairs(_starts(lengths), tiles, distances, masks, _starts(work))
         maxima, sums, offsets = self._log_sum_exp.of_sorted(
             rows, columns, potential, epsilon, False, listed
         )

@@ -159,12 +159,8 @@ def _along_curve(x: NDArray[np.uint32], y: NDArray[np.uint32]) -> NDArray[np.uin
 
 @functools.cache
 def _curve_steps() -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
-    """Return the curve through 16 x 16 squares: steps, and the state inside each square.
-
-    A state is 256 times a number of 2 bits: whether x and y are exchanged, and both turned round.
-    Both arrays have an entry for each state and square, state + 16 x + y.
-    """
-    place = np.arange(1024)
+    """Return the curve through 16 x 16 squares: steps, and states inside, by state + 16 x + y."""
+    place = np.arange(1024)  # a state is 256 times two bits: x and y exchanged, both turned round
     exchanged, turned = place >> 8 & 1, place >> 9 & 1
     x, y, steps = place >> 4 & 15, place & 15, np.zeros(1024, int)
     for shift in (3, 2, 1, 0):

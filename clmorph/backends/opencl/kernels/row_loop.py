@@ -234,12 +234,7 @@ class RowLoop:
         within: range | None = None,
         shares: int | None = None,
     ) -> Iterator[range]:
-        """Split the row tiles so that no launch takes too long or writes too many pairs.
-
-        The tiles are those `within`, or all. `counts`, (stride,), are the pairs that the kernel
-        writes for each row (`FILL_PAIRS`); `pairs` are the pairs of tiles that it visits, or all;
-        `shares` is as in `launch`.
-        """
+        """Split row tiles by time, and by the pairs that a kernel writes (`counts`, (stride,))."""
         n_tiles, tile = len(rows.centers), self.constants.tile
         first, end = (0, n_tiles) if within is None else (within.start, within.stop)
         windows = 1 if shares else self._windows(columns, pairs)
@@ -293,13 +288,8 @@ class RowLoop:
         pairs: TilePairs | None = None,
         results: Results = (),
     ) -> None:
-        """Run a kernel over some row tiles, read its results, and wait for both.
-
-        The kernel's own arguments follow those of the row loop. `shares` is the number of
-        work-groups along the columns, of a kernel that has such (`column_shares`); a kernel built
-        with lists visits `pairs`, whose levels are among the exponents. See `Workspace.launch` for
-        the results.
-        """
+        """Run a kernel over some row tiles; its own arguments follow those of the row loop."""
+        # `shares` are work-groups along the columns, of a kernel that has such (`column_shares`).
         _, tile_max, row_level, k, known, on_device = exponents
         section = slice(part.start, part.stop)
         n_rows = len(part) * self.constants.tile

@@ -33,12 +33,9 @@ class TileFits:
         return found.astype(np.float32)
 
     def slopes(self, values: Float64, present: NDArray[np.bool_]) -> Float64:
-        """Return the least-squares slopes of values over present points: (tiles, D) array.
-
-        They are exact in float32; `values` and `present` are (tiles, tile) arrays. In many
-        dimensions, where a tile has hardly more points than slopes, they are 0.
-        """
+        """Return least-squares slopes of values over present points, (tiles, D), as float32."""
         if self._shifts.shape[2] >= SLICED_FROM:
+            # A tile has hardly more points than slopes.
             return np.zeros((len(values), self._shifts.shape[2]))
         centered = (values - values.mean(axis=1, keepdims=True)).astype(np.float32)
         slopes = (self._of_values @ centered[..., None])[..., 0]

@@ -13,14 +13,9 @@ def tile_order(
     counts: NDArray[np.int64] | None = None,
     part: int | None = None,
 ) -> NDArray[np.intp]:
-    """Return the order, (N,), in which each run of `size` consecutive points is compact.
-
-    Segments are halved along their longest side, at a multiple of `size` so that only the last tile
-    can be partly filled. Ties keep their order, so equal input gives equal output. There are at
-    most 2^24 points. `counts`, (B,), are the numbers of points of clouds that stand one after the
-    other, at least 1 each and at most 2^18 clouds: they are sorted one by one, and each begins a
-    tile. Parts of a tile, of `part` points, a divisor of `size`, are made compact, too.
-    """
+    """Return the order, (N,), of tiles of `size` points and parts of `part`, cloud by cloud."""
+    # Segments are halved along their longest side, at a multiple of `size` so that only the last
+    # tile can be partly filled. Ties keep their order. There are at most 2^24 points, 2^18 clouds.
     count = len(points)
     everyone = np.arange(count)
     order, columns = everyone, points.T.copy()
