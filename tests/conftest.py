@@ -265,7 +265,7 @@ def _is_in_turns(item: pytest.Item) -> bool:
 
 
 def _takes_turns(item: pytest.Item) -> bool:
-    """Whether with --full one device is enough for each combination, of operations in each build."""
+    """Whether with --full one device suffices for each combination, of operations in each build."""
     return _is_in_turns(item) or "variant" in getattr(getattr(item, "callspec", None), "params", {})
 
 
