@@ -28,6 +28,7 @@ from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.verification.grids import SIZES, grid_case
 from clmorph.backends.opencl.verification.layers import mean_cases, path_cases, scenes
 from clmorph.backends.opencl.verification.tables import colors_of, table_of
+from clmorph.backends.records import PlanTerms
 from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations
 from clmorph.transport._solver.batch import problem_of_many
@@ -163,9 +164,8 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         )
         results.append(np.array([float(draws.min() >= 0 and draws.max() < len(potential))]))
     for precise, (softmin, _) in ((False, guesses), (True, exact)):
-        kept = operations.plan_rows(
-            rows, columns, f, g, 0.01, np.full(n, -9.0), np.full(m, np.inf), precise
-        )
+        plan = PlanTerms(rows, columns, f, g, 0.01, np.full(n, -9.0), np.full(m, np.inf))
+        kept = operations.plan_rows(plan, precise)
         results.append(kept.mass)
         results += operations.barycentric_projection(rows, columns, g, 0.01, precise)
         results += operations.plan_moments(rows, columns, g, softmin, 0.01, precise)
@@ -177,7 +177,9 @@ def exercise(operations: Operations) -> list[np.ndarray]:
                 for (clouds, _, potential), guess in zip(both, guesses, strict=True)
             ]
         limits = [np.full(size, x) for size, x in zip((n, m), thresholds, strict=True)]
-        stored = operations.store_pairs(rows, columns, f, g, 0.01, *limits, n * m, tuple(lists))
+        stored = operations.store_pairs(
+            PlanTerms(rows, columns, f, g, 0.01, *limits), n * m, tuple(lists)
+        )
         for change, by_column in ((g, False), (f, True)):
             sums = operations.sum_stored(stored, 10 * change, by_column)
             results.append(np.maximum(np.round(sums, 2), -99.0) + 0.0)
@@ -240,7 +242,9 @@ def exercise_many_dimensions(operations: Operations) -> list[np.ndarray]:
         limits = np.full(90, -9.0), np.full(67, np.inf)
         results += [softmin, *operations.barycentric_projection(rows, columns, g, epsilon, precise)]
         results += operations.plan_moments(few, columns, g, softmin[:50], epsilon, precise)
-        results.append(operations.plan_rows(rows, columns, f, g, epsilon, *limits, precise).mass)
+        results.append(
+            operations.plan_rows(PlanTerms(rows, columns, f, g, epsilon, *limits), precise).mass
+        )
     return results
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from clmorph._shared.typing import IntArray
 from clmorph.backends.interface import Operations
+from clmorph.backends.records import PlanTerms
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.options import Detail, RenderOptions
@@ -79,9 +80,9 @@ def fill_seconds(
     thresholds = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon
     thresholds += np.log(some.weights * 1e-4)
     none = np.full(len(g), np.inf)
-    arguments = rows, columns, f, g, epsilon, thresholds, none, potentials.precise
-    counts = operations.count_plan_rows(*arguments)
-    seconds = _seconds(lambda: operations.plan_rows(*arguments, counts))
+    plan, precise = PlanTerms(rows, columns, f, g, epsilon, thresholds, none), potentials.precise
+    counts = operations.count_plan_rows(plan, precise)
+    seconds = _seconds(lambda: operations.plan_rows(plan, precise, counts))
     return seconds * pairs / max(1, int(counts.sum()))
 
 

@@ -18,6 +18,7 @@ from clmorph.backends.records import (
     LayerView,
     NearPairs,
     PlanRows,
+    PlanTerms,
     ResidentIteration,
     StoredPairs,
     StoredVectors,
@@ -205,30 +206,11 @@ class Operations(Protocol):
     ) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j]: (N,) array, in nats."""
 
-    def count_plan_rows(
-        self,
-        rows: Any,
-        columns: Any,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-        precise: bool = False,
-    ) -> NDArray[np.int64]:
+    def count_plan_rows(self, plan: PlanTerms, precise: bool = False) -> NDArray[np.int64]:
         """Return how many pairs of each row `plan_rows` keeps: (N,) array; arguments as there."""
 
     def plan_rows(
-        self,
-        rows: Any,
-        columns: Any,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-        precise: bool = False,
-        counts: NDArray[np.int64] | None = None,
+        self, plan: PlanTerms, precise: bool = False, counts: NDArray[np.int64] | None = None
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold, without a dense plan.
 
@@ -240,13 +222,7 @@ class Operations(Protocol):
 
     def store_pairs(
         self,
-        rows: Any,
-        columns: Any,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
+        plan: PlanTerms,
         max_pairs: int,
         near: tuple[NearPairs | None, NearPairs | None] = (None, None),
     ) -> StoredPairs | None:

@@ -26,6 +26,19 @@ class ProgramError(DeviceError):
             warnings.warn(text, ClmorphWarning, stacklevel=3)
 
 
+class PlanTerms(NamedTuple):
+    """A plan (Eq. 2), and the thresholds of its pairs, see `Operations.plan_rows`."""
+
+    rows: Any  #: clouds of the backend
+    columns: Any
+    f: Float64
+    g: Float64
+    epsilon: float
+    row_thresholds: Float64  #: (N,) nats
+    column_thresholds: Float64  #: (M,) nats
+    looked_at: Any = None  #: what a backend searches, in its own terms; None for everything
+
+
 class PlanRows(NamedTuple):
     """Kept pairs of a plan, row after row, columns ascending inside a row."""
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
+from clmorph.backends.records import PlanTerms
 from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
 from clmorph.transport._solver.plan_softmin import clouds_of
@@ -44,11 +45,11 @@ def predict_pairs(
     epsilon, precise = potentials.epsilon, potentials.precise
     if log_threshold is not None:
         source_side, target_side = sides
-        kept = operations.count_plan_rows(
+        plan = PlanTerms(
             source_side.part, target_side.cloud, source_side.few, target_side.potential, epsilon,
             np.full(len(source_side.few), log_threshold), np.full(target_side.size, np.inf),
-            precise,
         )  # fmt: skip
+        kept = operations.count_plan_rows(plan, precise)
         return round(source_side.scale * float(kept.sum()))
     none = [np.full(len(side.chosen), np.inf) for side in sides]
     thresholds = [
@@ -61,15 +62,17 @@ def predict_pairs(
     by_side = [
         own.scale
         * operations.count_plan_rows(
-            own.part, other.cloud, own.few, other.potential, epsilon,
-            threshold, np.full(other.size, np.inf), precise,
+            PlanTerms(
+                own.part, other.cloud, own.few, other.potential, epsilon, threshold,
+                np.full(other.size, np.inf),
+            ), precise,
         ).sum()
         for own, other, threshold in zip(sides, sides[::-1], thresholds, strict=True)
     ]  # fmt: skip
     both = (thresholds[0], none[1]), (none[0], thresholds[1]), (thresholds[0], thresholds[1])
     few = sides[0].part, sides[1].part, sides[0].few, sides[1].few, epsilon
     in_rows, in_columns, either = (
-        int(operations.count_plan_rows(*few, by_row, by_column, precise).sum())
+        int(operations.count_plan_rows(PlanTerms(*few, by_row, by_column), precise).sum())
         for by_row, by_column in both
     )
     only_columns = (either - in_rows) / in_columns if in_columns else 1.0

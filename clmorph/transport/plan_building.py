@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from clmorph.backends.records import PlanTerms
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError, PlanSizeError
 from clmorph.measures.points import MeasureLike, as_pair
@@ -114,8 +115,8 @@ def transport_plan(
             column_maxima = operations.row_maxima(columns, rows, f, epsilon, near)
             column_maxima += g / epsilon + log_b
             column_thresholds = column_maxima + np.log(relative)
-    arguments = rows, columns, f, g, epsilon, row_thresholds, column_thresholds, potentials.precise
-    counts = operations.count_plan_rows(*arguments)
+    plan = PlanTerms(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+    counts = operations.count_plan_rows(plan, potentials.precise)
     kept = int(counts.sum())
     if kept * BYTES_PER_PAIR > max_bytes:
         raise PlanSizeError(
@@ -124,7 +125,7 @@ def transport_plan(
             "smaller blur, draw from its rows (sample=8), or take their means (barycentric=True)",
             kept,
         )
-    pairs = operations.plan_rows(*arguments, counts)
+    pairs = operations.plan_rows(plan, potentials.precise, counts)
     if log_threshold is not None:
         pairs = strictly_above(pairs, source, target, potentials, log_threshold, margin)
         if not len(pairs.mass):

@@ -19,6 +19,7 @@ from clmorph.backends.opencl.build.constants import (
 )
 from clmorph.backends.opencl.build.program import _build
 from clmorph.backends.opencl.devices.quirks import LONGEST_LOOP, find_quirks
+from clmorph.backends.records import PlanTerms
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()
@@ -118,7 +119,7 @@ def every_row_reduction(operations):
     thresholds = np.sort(rng.random((70, 40)), axis=1)
     near = operations.near_pairs(rows, columns, g, f, epsilon, 1e-4)
     plan = operations.plan_rows(
-        rows, columns, f, g, epsilon, np.full(70, -14.0), np.full(700, np.inf)
+        PlanTerms(rows, columns, f, g, epsilon, np.full(70, -14.0), np.full(700, np.inf))
     )
     same = [near.pairs.tiles, column_masks(operations, near), plan.indptr, plan.indices, plan.mass]
     for pairs in (None, near):

@@ -17,6 +17,7 @@ from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.verification.bench import Bench, Clouds, log_sum_exp_tolerance
 from clmorph.backends.opencl.verification.splats import Range, splat_tolerance
 from clmorph.backends.opencl.verification.table import TABLE
+from clmorph.backends.records import PlanTerms
 from clmorph.backends.width_levels import WIDTH_LEVELS
 from clmorph.reference import NumPyOperations
 
@@ -225,7 +226,7 @@ def test_groups_of_tiles_are_bounded_first(variant, monkeypatch, rng, blur):
         assert near.skipped.max() <= 1.5e-5
         assert missing.max() <= near.skipped.max() + 1e-3
         kept.append(near.n_pairs)
-        counts.append(variant.count_plan_rows(*clouds, whole, g, epsilon, *thresholds))
+        counts.append(variant.count_plan_rows(PlanTerms(*clouds, whole, g, epsilon, *thresholds)))
     assert kept[1] == pytest.approx(kept[0], rel=0.1)
     assert np.array_equal(*counts)
 
@@ -296,17 +297,15 @@ def test_sums_over_stored_pairs(variant, rng, name, blur, by_near):
                     columns, rows, f, backend.softmin(columns, rows, f, epsilon), epsilon, 1e-9
                 ),
             )
-        stored = backend.store_pairs(rows, columns, f, g, epsilon, *thresholds, 10**9, near)
+        plan = PlanTerms(rows, columns, f, g, epsilon, *thresholds)
+        stored = backend.store_pairs(plan, 10**9, near)
         assert 0 < stored.n_pairs <= len(f) * len(g)
         sums.append([backend.sum_stored(stored, changes[i], bool(i)) for i in range(2)])
         for i, order in enumerate(stored.orders):
             in_order = changes[i][stored.orders[1 - i]]
             got = backend.sum_stored(stored, in_order, bool(i), ordered=True)
             assert np.array_equal(got, sums[-1][i][order])
-        assert (
-            backend.store_pairs(rows, columns, f, g, epsilon, *thresholds, stored.n_pairs - 1, near)
-            is None
-        )
+        assert backend.store_pairs(plan, stored.n_pairs - 1, near) is None
     tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)
     for got, want, (_, weights) in zip(*sums, pair, strict=True):
         assert np.array_equal(np.isneginf(got), weights == 0)
@@ -323,7 +322,7 @@ def test_stored_sums_are_those_of_changed_potentials(variant, rng):
     f, g, _ = _solved(pair, epsilon, rng)
     clouds = _upload(variant, pair)
     thresholds = [np.full(len(x), -1e4) for x in (f, g)]
-    stored = variant.store_pairs(*clouds, f, g, epsilon, *thresholds, 10**9)
+    stored = variant.store_pairs(PlanTerms(*clouds, f, g, epsilon, *thresholds), 10**9)
     assert stored.n_pairs == len(f) * len(g)
     changes = rng.normal(size=len(g)) + 100.0
     got = variant.sum_stored(stored, changes, False)
@@ -346,7 +345,7 @@ def test_stored_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rn
     for most in (1 << 22, 5000):
         monkeypatch.setattr("clmorph.backends.opencl.kernels.row_loop.FILL_PAIRS", most)
         clouds = _upload(variant, pair)
-        stored = variant.store_pairs(*clouds, f, g, epsilon, *thresholds, 10**9)
+        stored = variant.store_pairs(PlanTerms(*clouds, f, g, epsilon, *thresholds), 10**9)
         results.append([variant.sum_stored(stored, x, by) for x, by in ((g, False), (f, True))])
         parts = len(stored.pairs[0].parts)
     assert parts > 3
@@ -368,15 +367,18 @@ def test_plan_rows(variant, rng, name, blur):
     arguments = f, g, epsilon, row_thresholds, column_thresholds
     tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)
 
-    got = variant.plan_rows(*_upload(variant, pair), *arguments)
-    want = REFERENCE.plan_rows(*exact, *arguments)
+    plan = PlanTerms(*_upload(variant, pair), *arguments)
+    got = variant.plan_rows(plan)
+    want = REFERENCE.plan_rows(PlanTerms(*exact, *arguments))
     assert got.indptr[0] == 0
     assert got.indptr[-1] == len(got.mass) == len(got.indices)
-    counts = variant.count_plan_rows(*_upload(variant, pair), *arguments)
+    counts = variant.count_plan_rows(plan)
     assert np.array_equal(counts, np.diff(got.indptr))
-    again = variant.plan_rows(*_upload(variant, pair), *arguments, False, counts)
+    again = variant.plan_rows(plan, False, counts)
     assert all(np.array_equal(one, other) for one, other in zip(got, again, strict=True))
-    assert np.array_equal(REFERENCE.count_plan_rows(*exact, *arguments), np.diff(want.indptr))
+    assert np.array_equal(
+        REFERENCE.count_plan_rows(PlanTerms(*exact, *arguments)), np.diff(want.indptr)
+    )
     got_mass, want_mass = (_dense(rows, len(g)) for rows in (got, want))
     both = (got_mass > 0) & (want_mass > 0)
     assert both.any()
@@ -422,8 +424,9 @@ def test_plan_rows_by_lists_are_the_same(variant, monkeypatch, rng, name, blur, 
         results = []
         for smallest in (1 << 62, 0):
             monkeypatch.setattr("clmorph.backends.opencl.kernels.plan_rows.LISTED_FROM", smallest)
-            counts = variant.count_plan_rows(*clouds, f, g, epsilon, *thresholds, precise)
-            rows = variant.plan_rows(*clouds, f, g, epsilon, *thresholds, precise, counts)
+            plan = PlanTerms(*clouds, f, g, epsilon, *thresholds)
+            counts = variant.count_plan_rows(plan, precise)
+            rows = variant.plan_rows(plan, precise, counts)
             results.append((counts, *rows[:2]))
             results[-1] += (np.log(np.maximum(rows.mass, 1e-290)),)
         for all_of_it, listed in list(zip(*results, strict=True))[:-1]:
@@ -437,14 +440,14 @@ def test_plan_rows_keeps_everything_or_nothing(variant, rng):
     pair = PAIRS["zero weights"](rng)
     n, m = len(pair[0][0]), len(pair[1][0])
     everything = variant.plan_rows(
-        *_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1,
-        np.full(n, -np.inf), np.full(m, -np.inf),
+        PlanTerms(*_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1,
+             np.full(n, -np.inf), np.full(m, -np.inf))
     )  # fmt: skip
     massive = np.count_nonzero(pair[0][1]) * np.count_nonzero(pair[1][1])
     assert len(everything.mass) == massive
     nothing = variant.plan_rows(
-        *_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1,
-        np.full(n, np.inf), np.full(m, np.inf),
+        PlanTerms(*_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1,
+             np.full(n, np.inf), np.full(m, np.inf))
     )  # fmt: skip
     assert len(nothing.mass) == 0
     assert nothing.indptr.tolist() == [0] * (n + 1)
@@ -621,7 +624,7 @@ def test_offsets_add_to_the_cost(variant, rng):
         assert np.abs(maxima - exponents.max(axis=1)).max() <= tolerance
         log_plan = exponents + (f / epsilon + np.log(a))[:, None]
         kept = backend.plan_rows(
-            rows, columns, f, g, epsilon, np.full(n, -np.inf), np.full(m, np.inf)
+            PlanTerms(rows, columns, f, g, epsilon, np.full(n, -np.inf), np.full(m, np.inf))
         )
         assert len(kept.mass) == n * m
         dense = np.exp(log_plan)

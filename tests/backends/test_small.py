@@ -16,6 +16,7 @@ from clmorph.backends.opencl.build.constants import (
     lanes_constants,
 )
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
+from clmorph.backends.records import PlanTerms
 from clmorph.reference import NumPyOperations
 
 pytestmark = pytest.mark.small
@@ -92,11 +93,11 @@ def few_results(operations):
         operations.softmin(rows, columns, g, epsilon),
         operations.softmin(rows, columns, g, epsilon, True),
         operations.near_pairs(rows, columns, g, softmin, epsilon, 1e-6).softmin,
-        operations.plan_rows(rows, columns, f, g, epsilon, *limits).mass,
+        operations.plan_rows(PlanTerms(rows, columns, f, g, epsilon, *limits)).mass,
         *operations.barycentric_projection(rows, columns, g, epsilon),
         *operations.plan_moments(rows, columns, g, softmin, epsilon),
     ]
-    stored = operations.store_pairs(rows, columns, f, g, epsilon, *limits, 10**6)
+    stored = operations.store_pairs(PlanTerms(rows, columns, f, g, epsilon, *limits), 10**6)
     results.append(operations.sum_stored(stored, g, False))
     splats = operations.upload_splats(
         rng.uniform(-3, 30, (200, 2)).astype(np.float32),

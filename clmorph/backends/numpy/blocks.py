@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.numpy.handles import Cloud
-from clmorph.backends.records import Float64, NearPairs
+from clmorph.backends.records import Float64, NearPairs, PlanTerms
 
 #: Entries of a dense block of rows, so that memory stays bounded (128 MB of float64).
 BLOCK_ENTRIES = 1 << 24
@@ -39,16 +39,9 @@ def exponent_blocks(
         yield block, exponents
 
 
-def plan_blocks(
-    rows: Cloud,
-    columns: Cloud,
-    f: Float64,
-    g: Float64,
-    epsilon: float,
-    row_thresholds: Float64,
-    column_thresholds: Float64,
-) -> Iterator[tuple[slice, Float64, NDArray[np.bool_]]]:
+def plan_blocks(plan: PlanTerms) -> Iterator[tuple[slice, Float64, NDArray[np.bool_]]]:
     """Yield log pi_ij and the mask of kept pairs, for blocks of rows."""
+    rows, columns, f, g, epsilon, row_thresholds, column_thresholds, _ = plan
     for block, exponents in exponent_blocks(rows, columns, g, epsilon):
         log_plan = exponents + (f[block] / epsilon + rows.log_weights[block])[:, None]
         keep = log_plan > np.minimum(row_thresholds[block][:, None], column_thresholds)

@@ -20,6 +20,7 @@ from clmorph.backends.records import (
     Float64,
     NearPairs,
     PlanRows,
+    PlanTerms,
     StoredPairs,
     StoredVectors,
     bin_grid,
@@ -189,40 +190,19 @@ class NumPyOperations:
             result[block] = exponents.max(axis=1)
         return result
 
-    def count_plan_rows(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-        precise: bool = False,
-    ) -> NDArray[np.int64]:
+    def count_plan_rows(self, plan: PlanTerms, precise: bool = False) -> NDArray[np.int64]:
         """Return how many pairs of each row `plan_rows` keeps."""
-        counts = np.zeros(len(rows.points), np.int64)
-        blocks = plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
-        for block, _, keep in blocks:
+        counts = np.zeros(len(plan.rows.points), np.int64)
+        for block, _, keep in plan_blocks(plan):
             counts[block] = keep.sum(axis=1)
         return counts
 
     def plan_rows(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-        precise: bool = False,
-        counts: NDArray[np.int64] | None = None,
+        self, plan: PlanTerms, precise: bool = False, counts: NDArray[np.int64] | None = None
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold."""
         lengths, indices, mass = [np.zeros(1, np.int64)], [], []
-        blocks = plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
-        for _, log_plan, keep in blocks:
+        for _, log_plan, keep in plan_blocks(plan):
             lengths.append(keep.sum(axis=1))
             indices.append(np.nonzero(keep)[1].astype(np.int32))
             mass.append(np.exp(log_plan[keep]))
@@ -231,25 +211,18 @@ class NumPyOperations:
 
     def store_pairs(
         self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
+        plan: PlanTerms,
         max_pairs: int,
         near: tuple[NearPairs | None, NearPairs | None] = (None, None),
     ) -> StoredPairs | None:
         """Store log pi_ij of pairs, as a dense matrix with -inf elsewhere."""
-        whole = np.full((len(rows.points), len(columns.points)), -np.inf)
-        blocks = plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
-        for block, log_plan, keep in blocks:
+        whole = np.full((len(plan.rows.points), len(plan.columns.points)), -np.inf)
+        for block, log_plan, keep in plan_blocks(plan):
             whole[block] = np.where(keep, log_plan, -np.inf)
         if near[0] is not None and near[1] is not None:
             whole[~(near[0].pairs | near[1].pairs.T)] = -np.inf
         n_pairs = int(np.isfinite(whole).sum())
-        orders = np.arange(len(rows.points)), np.arange(len(columns.points))
+        orders = np.arange(whole.shape[0]), np.arange(whole.shape[1])
         return StoredPairs(whole, n_pairs, orders) if n_pairs <= max_pairs else None
 
     def sum_stored(

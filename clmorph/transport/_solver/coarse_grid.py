@@ -7,7 +7,13 @@ import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import MAX_EXPONENT
-from clmorph.backends.records import ProgramError, ResidentIteration, StoredPairs, StoredVectors
+from clmorph.backends.records import (
+    PlanTerms,
+    ProgramError,
+    ResidentIteration,
+    StoredPairs,
+    StoredVectors,
+)
 from clmorph.measures.cluster import Clusters
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import MASS_ROUNDING, Problem
@@ -265,9 +271,8 @@ def stored_grid(
             np.where(np.isneginf(each), np.inf, each + np.log(choice.share)) for each in wholes
         )
         try:
-            stored = problem.operations.store_pairs(
-                problem.rows, problem.columns, f, g, epsilon, by_row, by_column, most, near
-            )
+            plan = PlanTerms(problem.rows, problem.columns, f, g, epsilon, by_row, by_column)
+            stored = problem.operations.store_pairs(plan, most, near)
         except ProgramError as error:
             error.tell("no pairs are stored between iterations, which then take longer")
             return None

@@ -14,29 +14,16 @@ from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.opencl.kernels.tile_bounds import TileBoundKernel
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
-from clmorph.backends.records import Float64, PlanRows
+from clmorph.backends.records import Float64, PlanRows, PlanTerms
 
 #: The number of pairs of points from which rows of plans are searched by lists of tiles.
 LISTED_FROM = 1 << 27
 
 
-class Plan(NamedTuple):
-    """A plan and the thresholds of its kept pairs, see `Operations.plan_rows`."""
-
-    rows: Cloud
-    columns: Cloud
-    f: Float64
-    g: Float64
-    epsilon: float
-    row_thresholds: Float64
-    column_thresholds: Float64
-    looked_at: TilePairs | None = None  #: the only pairs of tiles that are searched; None for all
-
-
 class Section(NamedTuple):
     """Some row tiles of a plan, and the arguments of the kernels that find the kept pairs there."""
 
-    plan: Plan
+    plan: PlanTerms
     precise: bool
     within: range
     pairs: TilePairs | None  #: pairs of tiles to look at; None for all
@@ -52,23 +39,13 @@ class PlanRowReductions:
         #: Whether rows are searched by lists of tiles however few they are.
         self.always_listed = False
 
-    def count_plan_rows(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-        precise: bool = False,
-    ) -> NDArray[np.int64]:
+    def count_plan_rows(self, plan: PlanTerms, precise: bool = False) -> NDArray[np.int64]:
         """Return how many pairs of each row `plan_rows` keeps."""
-        return self.count(
-            Plan(rows, columns, f, g, epsilon, row_thresholds, column_thresholds), precise
-        )
+        return self.count(plan, precise)
 
-    def count(self, plan: Plan, precise: bool = False, most: float = np.inf) -> NDArray[np.int64]:
+    def count(
+        self, plan: PlanTerms, precise: bool = False, most: float = np.inf
+    ) -> NDArray[np.int64]:
         """Return how many pairs of each row are kept, (N,), or of some if above `most` in all."""
         rows, tile = plan.rows, self._loop.constants.tile
         counts, total = np.zeros(rows.stride, np.int32), 0
@@ -97,19 +74,10 @@ class PlanRowReductions:
             )  # fmt: skip
 
     def plan_rows(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-        precise: bool = False,
-        counts: NDArray[np.int64] | None = None,
+        self, plan: PlanTerms, precise: bool = False, counts: NDArray[np.int64] | None = None
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold, in the caller's order."""
-        plan = Plan(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+        rows, columns = plan.rows, plan.columns
         if counts is None:
             counts = self.count(plan, precise)
         n, tile, work = len(rows), self._loop.constants.tile, self._loop.work
@@ -134,7 +102,7 @@ class PlanRowReductions:
             rows, len(columns), sorted_counts[:n], np.concatenate(indices), np.concatenate(mass)
         )
 
-    def sections(self, plan: Plan, precise: bool = False) -> Iterator[Section]:
+    def sections(self, plan: PlanTerms, precise: bool = False) -> Iterator[Section]:
         """Yield parts of the row tiles with the arguments of the kernels that find kept pairs."""
         rows, columns = plan.rows, plan.columns
         by_row = _log2_threshold(plan.row_thresholds)[rows.order]
@@ -152,7 +120,7 @@ class PlanRowReductions:
             own = self._loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
             yield Section(plan, precise, within, pairs, exponents, (own, *thresholds))
 
-    def _possible_pairs(self, plan: Plan) -> Iterator[tuple[range, TilePairs | None]]:
+    def _possible_pairs(self, plan: PlanTerms) -> Iterator[tuple[range, TilePairs | None]]:
         """Yield row tiles, and all pairs of tiles that bounds do not exclude there."""
         rows, columns, f, g, epsilon, row_thresholds, column_thresholds, looked_at = plan
         if looked_at is not None:

@@ -17,9 +17,9 @@ from clmorph.backends.opencl.build.sparse_half_step_slots import LARGEST_CHANGE
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.candidates import joined_pairs
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
-from clmorph.backends.opencl.kernels.plan_rows import Plan, PlanRowReductions
+from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
-from clmorph.backends.records import Float64, NearPairs, StoredPairs
+from clmorph.backends.records import Float64, NearPairs, PlanTerms, StoredPairs
 
 #: Bytes of a pair, which is stored both by row and by column.
 BYTES_PER_PAIR = 18
@@ -60,13 +60,7 @@ class SlicedEllpack:
 
     def store_pairs(
         self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
+        plan: PlanTerms,
         max_pairs: int,
         near: tuple[NearPairs | None, NearPairs | None] = (None, None),
     ) -> StoredPairs | None:
@@ -76,22 +70,21 @@ class SlicedEllpack:
         sides = []
         n_pairs, memory = 0, self._work.device.global_mem_size // 4
         most = min(max_pairs, memory // BYTES_PER_PAIR)
-        for plan, (own, other) in (
-            (Plan(rows, columns, f, g, epsilon, row_thresholds, column_thresholds), near),
-            (Plan(columns, rows, g, f, epsilon, column_thresholds, row_thresholds), near[::-1]),
-        ):
+        rows, columns, f, g, epsilon, by_row, by_column, _ = plan
+        back = PlanTerms(columns, rows, g, f, epsilon, by_column, by_row)
+        for each, (own, other) in ((plan, near), (back, near[::-1])):
             if own is not None and other is not None:
-                looked_at = joined_pairs(plan.rows, plan.columns, own.pairs, other.pairs)
-                plan = plan._replace(looked_at=looked_at)
-            counts = self._plan_rows.count(plan, most=most)
+                looked_at = joined_pairs(each.rows, each.columns, own.pairs, other.pairs)
+                each = each._replace(looked_at=looked_at)
+            counts = self._plan_rows.count(each, most=most)
             n_pairs = int(counts.sum())
             longest = counts.max(initial=0)
             if n_pairs > most or longest > loop_limits.stored_pairs(self._constants):
                 return None
-            sides.append(self._stored(plan, counts))
+            sides.append(self._stored(each, counts))
         return StoredPairs((sides[0], sides[1]), n_pairs, (rows.order, columns.order))
 
-    def _stored(self, plan: Plan, counts: NDArray[np.int64]) -> Side:
+    def _stored(self, plan: PlanTerms, counts: NDArray[np.int64]) -> Side:
         """Write the pairs of every row in slices; `counts` has the caller's order of rows."""
         rows, tile, side = plan.rows, self._constants.tile, self._constants.slice_rows
         ordered = np.zeros(rows.stride, np.int64)

@@ -13,7 +13,7 @@ from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.constants import SLICED_FROM
 from clmorph.backends.opencl.build.variants import KERNELS, Variant
 from clmorph.backends.opencl.verification.findings import Finding, largest
-from clmorph.backends.records import Float64
+from clmorph.backends.records import Float64, PlanTerms
 from clmorph.backends.rounding import rounding_error
 
 Cloud = tuple[Float64, Float64]
@@ -185,10 +185,10 @@ class Clouds:
 
     def _plan(self, rows: Any) -> Float64:
         n, m = self.shape
+        limits = np.full(n, -np.inf), np.full(m, np.inf)
         plan = self.exact.plan_rows(
-            rows, self.theirs[1], self.softmin, self.g, self.epsilon, np.full(n, -np.inf),
-            np.full(m, np.inf),
-        )  # fmt: skip
+            PlanTerms(rows, self.theirs[1], self.softmin, self.g, self.epsilon, *limits)
+        )
         dense = np.zeros((n, m))
         dense[np.repeat(np.arange(n), np.diff(plan.indptr)), plan.indices] = plan.mass
         return dense

@@ -19,6 +19,7 @@ from clmorph.backends.records import (
     START,
     Float64,
     IterationNumbers,
+    PlanTerms,
     ResidentIteration,
     StoredVectors,
     control_of,
@@ -217,10 +218,9 @@ def _corrected(case: Clouds, rng: np.random.Generator) -> tuple[Pair, Pair]:
 def start_stored(case: Clouds, rho: tuple[float, ...]) -> _Started:
     """Start an iteration over stored pairs, which are all pairs but those of no mass at all."""
     epsilon, own, potentials = case.epsilon, (case.rows[1], case.columns[1]), (case.softmin, case.g)
-    stored = case.operations.store_pairs(
-        *case.ours, *potentials, epsilon, *(np.full(size, -1e3) for size in case.shape),
-        case.shape[0] * case.shape[1],
-    )  # fmt: skip
+    limits = (np.full(size, -1e3) for size in case.shape)
+    plan = PlanTerms(*case.ours, *potentials, epsilon, *limits)
+    stored = case.operations.store_pairs(plan, case.shape[0] * case.shape[1])
     assert stored is not None, "the pairs were not stored"
     rng = np.random.default_rng(5)
     masses, corrections = _corrected(case, rng)

@@ -15,6 +15,7 @@ from clmorph.backends.opencl.verification.bench import (
     check,
 )
 from clmorph.backends.opencl.verification.findings import largest
+from clmorph.backends.records import PlanTerms
 
 #: The share of the largest entry of a row, or column, above which pairs are kept.
 SHARE = 1e-4
@@ -44,8 +45,8 @@ def _kept(case: Clouds, precise: bool, limits: tuple[np.ndarray, ...], detail: s
     """Compare pairs above their thresholds."""
     (n, m), log_plan, tolerance = case.shape, case.log_plan, 2 * case.tolerance(precise)
     limit = np.minimum(limits[0][:, None], limits[1])
-    ours = *case.ours, case.softmin, case.g, case.epsilon, *limits, precise
-    counts = case.operations.count_plan_rows(*ours)
+    plan = PlanTerms(*case.ours, case.softmin, case.g, case.epsilon, *limits)
+    counts = case.operations.count_plan_rows(plan, precise)
     low, high = ((log_plan > limit + off).sum(axis=1) for off in (tolerance, -tolerance))
     wrong = np.count_nonzero((counts < low) | (counts > high))
     yield case.finding(
@@ -53,7 +54,7 @@ def _kept(case: Clouds, precise: bool, limits: tuple[np.ndarray, ...], detail: s
     )
     if wrong:
         return  # the pairs would be written beyond the space that is counted for them
-    kept = case.operations.plan_rows(*ours, counts)
+    kept = case.operations.plan_rows(plan, precise, counts)
     row, inside = np.repeat(np.arange(n), np.diff(kept.indptr)), kept.indices < m
     error = np.inf
     if np.all(inside & (kept.indices >= 0)) and len(np.unique(row * m + kept.indices)) == len(row):
@@ -99,10 +100,9 @@ def _stored(case: Clouds, listed: bool = False) -> Findings:
     for backend, clouds, near in (
         (case.operations, case.ours, lists), (case.exact, case.theirs, (None, None))
     ):  # fmt: skip
-        pairs = backend.store_pairs(
-            *clouds, case.softmin, case.g, case.epsilon, np.full(n, -1e3), np.full(m, -1e3), n * m,
-            near,
-        )  # fmt: skip
+        limits = np.full(n, -1e3), np.full(m, -1e3)
+        plan = PlanTerms(*clouds, case.softmin, case.g, case.epsilon, *limits)
+        pairs = backend.store_pairs(plan, n * m, near)
         assert pairs is not None, "the pairs were not stored"
         sums.append([backend.sum_stored(pairs, changes[side], bool(side)) for side in range(2)])
     for name, got, want in zip(("rows", "columns"), *sums, strict=True):
