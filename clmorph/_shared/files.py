@@ -10,7 +10,7 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from os import PathLike
 from pathlib import Path
@@ -18,6 +18,7 @@ from pathlib import Path
 from clmorph._shared.printable import printable, reason_of
 from clmorph._shared.signals import note_partial, note_written, undisturbed
 from clmorph._shared.staging import is_staging, own_prefix, staging_folder
+from clmorph._shared.validation import is_path, shown
 from clmorph.errors import InputError, OutputError
 
 #: Longest ending, in characters, that a temporary file takes over from its target. clmorph writes
@@ -93,6 +94,20 @@ def check_file_place(target: str | PathLike[str]) -> Path:
     if place.is_dir():
         raise OutputError(f"{target} is a folder; choose a file name")
     return place
+
+
+def check_named_place(
+    path: object, endings: Collection[str], example: str, expected: str, ending: str | None = None
+) -> Path:
+    """Return the path at which a file with one of some endings (its own if None) can be written."""
+    if not is_path(path):
+        raise OutputError(f"path={shown(path)}: expected a path such as {example!r}")
+    place = Path(str(path))
+    ending = place.suffix.lower() if ending is None else ending
+    if ending not in endings:
+        name = printable(repr(ending), 40)
+        raise OutputError(f"{path}: unknown ending {name}; expected {expected}")
+    return check_file_place(place)
 
 
 def home_of(place: Path) -> Path:

@@ -46,10 +46,6 @@ def _is_number(value: Any) -> bool:
     return number is not None and math.isfinite(number)
 
 
-def _is_whole(value: Any) -> bool:
-    return _is_number(value) and float(as_float(value) or 0.0).is_integer()
-
-
 def number(low: float, high: float, *, open_low: bool = False) -> Kind:
     """Return the kind of numbers in [low, high], or (low, high] if `open_low`."""
 
@@ -70,7 +66,8 @@ def integer(low: int, high: int) -> Kind:
     schema = {"type": "integer", "minimum": low, "maximum": high}
     return Kind(
         lambda name, value: check_integer(name, value, low, high),
-        "a whole number", "integer", read, schema, _is_whole,
+        "a whole number", "integer", read, schema,
+        lambda value: _is_number(value) and float(as_float(value) or 0.0).is_integer(),
     )  # fmt: skip
 
 

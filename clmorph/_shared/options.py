@@ -1,10 +1,7 @@
-"""Options: each option is defined once, and all its uses are derived from the definition.
+"""Options: each is defined once, and all its uses are derived from the definition.
 
-Each stage owns a frozen subclass of `Options`. Its fields, made by `option`, hold type, default,
-range, unit, help and panel; the command line, files of settings, recipes, a JSON schema, and the
-types and documentation of keywords are derived from them. "Outside" means the form of an option on
-the command line, in TOML and in recipes: there it can have another name (``frames`` for
-``n_frames``), another unit (gigabytes for bytes), and a word for None.
+"Outside" means an option on the command line, in TOML and in recipes: there it can have another
+name (``frames`` for ``n_frames``), another unit (gigabytes for bytes), and a word for None.
 """
 
 import math

@@ -54,15 +54,11 @@ def clear_leftovers(home: Path) -> None:
         for entry in entries:
             found = NAME.fullmatch(entry.name)
             if found and found[2] == _place() and not _is_alive(int(found[1])):
-                with suppress(OSError):
-                    _remove_own(Path(entry.path))
-
-
-def _remove_own(folder: Path) -> None:
-    """Remove a folder of this user; neither a file nor a link."""
-    known = folder.lstat()
-    if stat.S_ISDIR(known.st_mode) and known.st_uid == getattr(os, "geteuid", lambda: 0)():
-        shutil.rmtree(folder, ignore_errors=True)
+                with suppress(OSError):  # a folder of this user; neither a file nor a link
+                    known = Path(entry.path).lstat()
+                    own = known.st_uid == getattr(os, "geteuid", lambda: 0)()
+                    if own and stat.S_ISDIR(known.st_mode):
+                        shutil.rmtree(entry.path, ignore_errors=True)
 
 
 def _place() -> str:

@@ -1,7 +1,6 @@
-"""Names for common types, which keep signatures readable.
+"""Names for common types, which ``help`` shows in place of unions.
 
-Public modules import `annotations` from ``__future__``. Their annotations therefore remain texts,
-and ``help`` shows these names in place of the unions for which they stand.
+For that, public modules import `annotations` from ``__future__``.
 """
 
 from collections.abc import Callable

@@ -82,15 +82,10 @@ def errors_about(name: str, kind: type[InputError] = InputError) -> Iterator[Non
         raise kind(f"{name}: {error}") from None
 
 
-def check_callable(name: str, value: Any) -> None:
-    """Raise InputError if a value is neither None nor a function."""
-    if value is not None and not callable(value):
-        raise InputError(f"{name}={shown(value)}: expected a function to call, or None")
-
-
 def check_progress(progress: Callable[..., None] | None) -> Callable[..., None]:
     """Return the progress function, or a function without effect for None."""
-    check_callable("progress", progress)
+    if progress is not None and not callable(progress):
+        raise InputError(f"progress={shown(progress)}: expected a function to call, or None")
     return progress or (lambda *told: None)
 
 
@@ -103,7 +98,7 @@ def as_float(value: Any) -> float | None:
             return None
         if value.dtype.kind == "O":
             return None if isinstance(value.item(), np.ndarray) else as_float(value.item())
-    elif not _converts(value):
+    elif not any(hasattr(type(value), name) for name in ("__float__", "__index__")):
         return None
     try:
         if len(getattr(value, "shape", ())):
@@ -113,10 +108,6 @@ def as_float(value: Any) -> float | None:
     except Exception:
         # An exception of a foreign type means that the value is no number.
         return None
-
-
-def _converts(value: Any) -> bool:
-    return any(hasattr(type(value), name) for name in ("__float__", "__index__"))
 
 
 def is_path(value: Any) -> bool:

@@ -52,17 +52,6 @@ class ChannelMorph:
     channels : three of (uploaded particles, kernel width, light at both ends)
     operations : Operations
     extent : {"true", "unit"}
-
-    Examples
-    --------
-    >>> import clmorph
-    >>> import numpy as np
-    >>> left, right = np.zeros((2, 6, 6, 3))
-    >>> left[:, :3] = right[:, 3:] = 1.0
-    >>> from clmorph.analysis.channel_baseline import channel_morph
-    >>> baseline = channel_morph(left, right, n_frames=4, backend="numpy")
-    >>> [frame.shape for frame in baseline.iter_frames()]
-    [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
     """
 
     shapes: tuple[tuple[int, int], tuple[int, int]]

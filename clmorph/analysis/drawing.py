@@ -38,20 +38,15 @@ ENLARGED = 480
 PALE = 0.62
 
 
-def enlarged(image: ArrayLike) -> NDArray[np.float64]:
-    """Return an image enlarged to square blocks, one for each pixel."""
-    pixels = np.clip(np.asarray(image, float), 0, 1)
-    factor = max(1, ENLARGED // max(pixels.shape[:2]))
-    return pixels.repeat(factor, axis=0).repeat(factor, axis=1)
-
-
 def show(axes: Any, image: ArrayLike, **options: Any) -> Any:
     """Draw an image with sharp pixels of equal size, without axes."""
-    height, width = np.shape(image)[:2]
+    pixels = np.clip(np.asarray(image, float), 0, 1)
+    height, width = pixels.shape[:2]
+    factor = max(1, ENLARGED // max(height, width))
     axes.set_axis_off()
     return axes.imshow(
-        enlarged(image), extent=(-0.5, width - 0.5, height - 0.5, -0.5), interpolation="hanning",
-        **options,
+        pixels.repeat(factor, axis=0).repeat(factor, axis=1),
+        extent=(-0.5, width - 0.5, height - 0.5, -0.5), interpolation="hanning", **options,
     )  # fmt: skip
 
 

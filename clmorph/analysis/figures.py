@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.files import atomic_path, check_file_place
+from clmorph._shared.files import atomic_path, check_named_place
 from clmorph._shared.printable import percent, reason_of
-from clmorph._shared.validation import is_path, shown
 from clmorph.analysis.drawing import ARROWS, GRAY, INK, STYLE, draw_field, ordinal, show, step_of
 from clmorph.analysis.panels import (
     color_bar,
@@ -55,15 +54,8 @@ def check_plotting(path: str | PathLike[str] | None = None) -> None:
         ) from None
     finally:
         log.setLevel(level)
-    if path is None:
-        return
-    if not is_path(path):
-        raise OutputError(f"path={shown(path)}: expected a path such as 'report.png'")
-    place = check_file_place(path)
-    if place.suffix.lower() not in ENDINGS:
-        raise OutputError(
-            f"{path}: unknown ending {place.suffix!r}; expected one of {', '.join(ENDINGS)}"
-        )
+    if path is not None:
+        check_named_place(path, ENDINGS, "report.png", f"one of {', '.join(ENDINGS)}")
 
 
 def draw_inspection(inspection: Report, path: str | PathLike[str]) -> None:
@@ -141,7 +133,8 @@ def _lay_out(figure: Any, found: Report) -> None:
         outline(axes, picture.shape)
         draw_marks(axes, found.marks, side, picture.shape)
     axes = figure.add_subplot(grid[0, 1])
-    count = _arrow_count(found)
+    length = max(moved.mass_weighted_mean, 1e-9)
+    count = int(np.clip(LONGEST * max(h, w) / length, FEWEST, ARROWS))
     axes.set_title(f"Displacement of every {ordinal(step_of(found.source.shape, count))} pixel")
     arrows = draw_field(axes, source, moved, moved.max, count=count)
     axes.set_xlim(-0.5, w - 0.5)
@@ -162,12 +155,6 @@ def _lay_out(figure: Any, found: Report) -> None:
     draw_lengths(figure.add_subplot(middle[0, 1]), moved)
     draw_residuals(figure.add_subplot(middle[1, 1]), found)
     write_numbers(figure.add_subplot(grid[:, 3]), found)
-
-
-def _arrow_count(found: Report) -> int:
-    """Return the number of arrows along a side, which is smaller for long arrows."""
-    length = max(found.displacement.mass_weighted_mean, 1e-9)
-    return int(np.clip(LONGEST * max(found.source.shape) / length, FEWEST, ARROWS))
 
 
 def _picture(measure: Measure) -> NDArray[np.float64]:

@@ -173,9 +173,8 @@ def write_numbers(axes: Any, found: Report) -> None:
             axes.text(1.0, y, text, color=INK, va="top", ha="right")
         y -= 1.55 * step
     axes.set(xlim=(0, 1), ylim=(0, 1))
-    axes.figure.text(
-        0.985, 0.018, _short(found.device), fontsize=7.5, color=GRAY, ha="right", va="bottom"
-    )
+    device = found.device if len(found.device) <= 80 else found.device[:79] + "…"
+    axes.figure.text(0.985, 0.018, device, fontsize=7.5, color=GRAY, ha="right", va="bottom")
 
 
 def _divergence_rows(found: Report) -> list[tuple[str, str]]:
@@ -187,7 +186,3 @@ def _divergence_rows(found: Report) -> list[tuple[str, str]]:
         ("certainly from", f"{low:.5g}"),
         ("to", f"{high:.5g}"),
     ]
-
-
-def _short(text: str, most: int = 80) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"

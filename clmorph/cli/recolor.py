@@ -12,12 +12,13 @@ from clmorph._shared.files import write_together
 from clmorph.cli.common import note_warning, quiet_libraries, read_picture
 from clmorph.cli.request import Request
 from clmorph.clips.reading import is_clip
+from clmorph.clips.writing import CONTAINERS
 from clmorph.errors import FileError, InputError
 from clmorph.images.looks import Lut, read_lut
 from clmorph.images.resizing import as_unit
 from clmorph.output.luts import check_lut_place, nodes_of, put_lut
 from clmorph.output.picture import check_picture_place, write_picture
-from clmorph.pipeline.clips import ClipRecoloring, check_clip_place, container_of, is_clip_place
+from clmorph.pipeline.clips import ClipRecoloring, check_clip_place, container_of
 from clmorph.pipeline.luts import graded, lut_of
 from clmorph.pipeline.recolor import check_for_picture, feathered, recolored
 
@@ -26,7 +27,8 @@ def run_recolor(request: Request, size: int | None) -> None:
     """Recolor the photo, write files and a summary; tables have `size` nodes, None: as usual."""
     options = request.options
     request.check_files()
-    places_of_clips = map(is_clip_place, request.outputs, request.formats())
+    kinds = map(container_of, request.outputs, request.formats())
+    places_of_clips = (kind in CONTAINERS for kind in kinds)
     if is_clip(request.images[0]) or any(places_of_clips):
         _recolor_clip(request)
         return

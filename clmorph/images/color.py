@@ -82,13 +82,14 @@ def _in_parts(convert: Callable[[Array], Array], colors: Array) -> Array:
     return found.reshape(colors.shape)
 
 
-def _without_negative_light(lab: Array) -> Array:
-    """Return CIELAB with b limited so that Z is not negative: scikit-image would warn."""
+def _from_lab(lab: Array) -> Array:
+    """Return sRGB of CIELAB, with b limited so that Z is not negative: scikit-image would warn."""
     lightness, green_red, blue_yellow = np.moveaxis(lab, -1, 0)
     # Z grows with (L + 16) / 116 - b / 200. The limit is slightly lower, so that
     # rounding cannot make Z negative.
     most = 200 * ((lightness + 16) / 116 - 1e-9)
-    return np.stack([lightness, green_red, np.minimum(blue_yellow, most)], axis=-1)
+    lab = np.stack([lightness, green_red, np.minimum(blue_yellow, most)], axis=-1)
+    return _by_skimage("lab2rgb", lab)
 
 
 def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -145,10 +146,6 @@ def _by_skimage(name: str, values: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         converted = getattr(color, name)(values.reshape(-1, 1, 3))
     return np.asarray(converted).reshape(values.shape)
-
-
-def _from_lab(values: Array) -> Array:
-    return _by_skimage("lab2rgb", _without_negative_light(values))
 
 
 @cache

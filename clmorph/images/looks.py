@@ -196,16 +196,12 @@ def _numbers(text: str) -> Array:
     try:
         values = np.array(words, float)
     except ValueError:
-        wrong = next(word for word in words if not _is_number(word))
-        raise ValueError(f"{printable(wrong, 40)!r} is not a number") from None
+        for word in words:
+            try:
+                float(word)
+            except ValueError:
+                raise ValueError(f"{printable(word, 40)!r} is not a number") from None
+        raise
     if not np.isfinite(values).all():
         raise ValueError("it holds NaN or infinity")
     return values
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

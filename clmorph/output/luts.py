@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from clmorph._shared.files import atomic_path, check_file_place
-from clmorph._shared.printable import printable
-from clmorph._shared.validation import is_path, shown
-from clmorph.errors import InputError, OutputError
+from clmorph._shared.files import atomic_path, check_named_place
+from clmorph._shared.validation import shown
+from clmorph.errors import InputError
 from clmorph.images.looks import CUBE, Lut
 
 #: The ending of HALD pictures, and the nodes that a table needs for one: squares of whole numbers.
@@ -18,15 +17,8 @@ HALD_SIZES = tuple(level**2 for level in range(2, 17))
 
 def check_lut_place(path: str | PathLike[str]) -> Path:
     """Return the path of a table to be written, or raise OutputError if it cannot be written."""
-    if not is_path(path):
-        raise OutputError(f"path={shown(path)}: expected a path such as 'look.cube'")
-    ending = Path(path).suffix.lower()
-    if ending not in (CUBE, HALD):
-        raise OutputError(
-            f"{path}: unknown ending {printable(repr(ending), 40)}; expected .cube for a table, or "
-            ".png for a HALD picture of it"
-        )
-    return check_file_place(path)
+    expected = ".cube for a table, or .png for a HALD picture of it"
+    return check_named_place(path, (CUBE, HALD), "look.cube", expected)
 
 
 def nodes_of(place: Path) -> int:

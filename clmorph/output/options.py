@@ -94,16 +94,11 @@ def as_canvas(canvas: Any) -> Any:
     )
 
 
-def _is_canvas(value: object) -> bool:
-    """Return whether a value of TOML or JSON can be a canvas: a text, or two sides."""
-    return isinstance(value, str) or (
-        isinstance(value, list) and all(type(side) is int for side in value)
-    )
-
-
 _SIDES = {"type": "array", "items": {"type": "integer"}, "minItems": 2, "maxItems": 2}
 _CANVAS = replace(
-    text("dynamic|source|target|WxH", as_canvas), scalar=_is_canvas,
+    text("dynamic|source|target|WxH", as_canvas),
+    scalar=lambda value: isinstance(value, str)
+    or (isinstance(value, list) and all(type(side) is int for side in value)),
     schema={"anyOf": [{"type": "string"}, _SIDES]},
 )  # fmt: skip
 

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from clmorph._shared.files import NO_ENDING, atomic_path, check_file_place, is_standard_output
-from clmorph._shared.printable import printable
+from clmorph._shared.files import NO_ENDING, atomic_path, check_named_place, is_standard_output
 from clmorph._shared.typing import Array, ArrayLike
-from clmorph._shared.validation import is_path, shown
+from clmorph._shared.validation import is_path
 from clmorph.errors import OutputError
 from clmorph.images.pixels import as_pixels, as_rgb, to_bytes
 from clmorph.output.formats.limits import check_sides, encoding
@@ -45,17 +44,10 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 
 def check_picture_place(path: str | PathLike[str], format: str | None = None) -> Path:
     """Return the path of a picture to be written, or raise OutputError if it cannot be written."""
-    if not is_path(path):
-        raise OutputError(f"path={shown(path)}: expected a path such as 'out.png'")
-    ending = Path(path).suffix.lower() if format is None else f".{format}"
-    if not ending and is_standard_output(path):
+    if format is None and is_path(path) and is_standard_output(path):
         raise OutputError(NO_ENDING)
-    if ending not in ENCODERS:
-        raise OutputError(
-            f"{path}: unknown ending {printable(repr(ending), 40)}; expected "
-            f"{', '.join(ENCODERS)} for a single picture"
-        )
-    return check_file_place(path)
+    expected = f"{', '.join(ENCODERS)} for a single picture"
+    return check_named_place(path, ENCODERS, "out.png", expected, format and f".{format}")
 
 
 def write_picture(

@@ -6,7 +6,7 @@ from typing import Any
 from clmorph._shared.printable import reason_of
 from clmorph.errors import InputError
 from clmorph.output.bounded import MAX_TEXT, UNREADABLE, from_text
-from clmorph.output.formats.registry import by_content
+from clmorph.output.formats.registry import FORMATS
 from clmorph.output.metadata import MARK
 from clmorph.output.picture import JPEG_START, read_jpeg
 
@@ -43,7 +43,7 @@ def _metadata_text(path: Path) -> str:
             return file.read(MAX_TEXT + 1).decode()
     if start.startswith(JPEG_START):
         return read_jpeg(path)
-    format = next(by_content(start), None)
+    format = next((format for format in FORMATS.values() if format.matches(start)), None)
     if format is None:
         raise ValueError("it is not a kind of file that clmorph writes")
     return format.read_metadata(path)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.files import (
     NO_ENDING,
@@ -207,7 +206,10 @@ def save(
         if name not in SAVED:
             raise InputError(unknown_option(name, dict.fromkeys(SAVED)))
     options = chain[0].options.replace(**given)
-    motion = motion_of(options, held_frames_of(chain))
+    steps = [len(morph) - 1 for morph in chain]
+    holds = np.zeros(1 + sum(steps), bool)
+    holds[[0, *np.cumsum(steps)]] = True  # the frames that are pictures themselves
+    motion = motion_of(options, holds)
     output.check_motion(motion)
     report = check_progress(progress)
     for one, other in itertools.pairwise(chain):
@@ -225,14 +227,6 @@ def save(
 
 #: The option that belongs to the two pictures of a morph; a chain has a list of its values.
 LANDMARKS = "landmarks"
-
-
-def held_frames_of(chain: Sequence[FrameSequence]) -> NDArray[np.bool_]:
-    """Return which frames of a chain are pictures themselves: (n,) array."""
-    steps = [len(morph) - 1 for morph in chain]
-    holds = np.zeros(1 + sum(steps), bool)
-    holds[[0, *np.cumsum(steps)]] = True
-    return holds
 
 
 def metadata_of(morphs: Sequence[FrameSequence], options: Options) -> dict[str, Any]:

@@ -10,8 +10,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.files import atomic_path, check_apart, check_file_place
-from clmorph._shared.printable import printable
+from clmorph._shared.files import atomic_path, check_apart, check_named_place
 from clmorph._shared.progress import Share, StageProgress
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_max_pixels, check_progress, is_path, shown
@@ -20,7 +19,7 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.clips.reading import Clip, Frame, Sound
 from clmorph.clips.tags import ColorTags
 from clmorph.clips.writing import CONTAINERS, ClipWriter, even
-from clmorph.errors import InputError, OutputError
+from clmorph.errors import InputError
 from clmorph.images.looks import Lut
 from clmorph.images.pixels import MAX_PIXELS, as_pixels
 from clmorph.output.formats.limits import check_sides, encoding
@@ -40,25 +39,16 @@ NODES = 65
 
 def check_clip_place(path: str | PathLike[str], format: str | None = None) -> Path:
     """Return the path of a clip to be written, or raise OutputError if it cannot be written."""
-    if not is_path(path):
-        raise OutputError(f"path={shown(path)}: expected a path such as 'out.mp4'")
-    if not is_clip_place(path, format):
-        raise OutputError(
-            f"{path}: unknown ending {printable(repr(Path(path).suffix), 40)}; expected "
-            f"{' or '.join(f'.{name}' for name in CONTAINERS)} for a clip"
-        )
+    endings = [f".{name}" for name in CONTAINERS]
+    expected = f"{' or '.join(endings)} for a clip"
+    place = check_named_place(path, endings, "out.mp4", expected, format and f".{format}")
     check_video()
-    return check_file_place(path)
+    return place
 
 
 def container_of(path: str | PathLike[str], format: str | None = None) -> str:
     """Return the container that an ending or a format stands for."""
     return Path(path).suffix.lower()[1:] if format is None else format
-
-
-def is_clip_place(path: str | PathLike[str], format: str | None = None) -> bool:
-    """Return whether the ending of an output, or its format, is that of a clip."""
-    return container_of(path, format) in CONTAINERS
 
 
 @documented(RecolorOptions)

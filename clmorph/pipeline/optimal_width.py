@@ -1,9 +1,6 @@
-"""Kernel widths whose frames are nearest to the particles, by the Sinkhorn divergence.
+"""Kernel widths whose frames are nearest to the particles, by the Sinkhorn divergence (paper, 4.3).
 
-The paper evaluates a kernel by the Sinkhorn divergence of its frames (4.3) and sets its width by
-hand (gamma). Here sigma(t) is the width whose frame, weighted by its kernel mass, has the least
-divergence to the particles mu_t that it represents; torn pixels are closed. The divergence prefers
-grain to blur, because an average of colors is a color that no particle has.
+Torn pixels are closed. The divergence prefers grain to blur: an average is a color of no particle.
 """
 
 from collections.abc import Callable

@@ -202,18 +202,7 @@ class MorphOptions(
         return values
 
     def replace(self, **given: Any) -> Self:
-        """Return a copy of these options with some replaced.
-
-        Parameters
-        ----------
-        **given
-            Options, see `clmorph.morph`. A preset and a draft are refused: they set many options.
-
-        Raises
-        ------
-        InputError
-            The errors of `MorphOptions`.
-        """
+        """Return a copy with some options replaced, but no preset and no draft: they set many."""
         for name in ("preset", "draft"):
             if name in given:
                 raise InputError(

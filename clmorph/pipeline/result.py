@@ -163,16 +163,6 @@ class Morph(Film):
         ----------
         first : int
             Number of the first frame.
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-        >>> [frame.shape for frame in morph.iter_frames()]
-        [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
         """
         first = check_integer("first", first, 0, len(self))
         if self._kept or not self._renderer.at_once:
@@ -297,15 +287,6 @@ class Morph(Film):
             Kernel mass relative to that of evenly spread particles; see
             `clmorph.analysis.metrics.hole_fraction`.
 
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-        >>> morph.coverage(0.5).shape
-        (6, 6)
         """
         return self.sums(t).coverage.astype(np.float32)
 

@@ -42,8 +42,10 @@ def cascade_faces(copy: Copy) -> list[Array]:
             return []
     boxes: list[Array] = []
     for box in sorted((np.median(each, axis=0) for each in kept), key=lambda box: -box[2]):
-        alone = all(_shared(box, other) <= 0.1 for other in boxes)
-        if alone and _likeness(copy.pixels.mean(axis=2), box) >= LIKENESS:
+        patch = _patch(copy.pixels.mean(axis=2), box)
+        spread = np.linalg.norm(patch)
+        alike = spread > 0 and np.sum(patch * _mean_face()) / spread >= LIKENESS
+        if alike and all(_shared(box, other) <= 0.1 for other in boxes):
             boxes.append(box)
     return [box[:2] - 0.5 + box[2] * POINTS for box in boxes]
 
@@ -91,13 +93,6 @@ def _shared(one: Array, other: Array) -> float:
     low, high = np.maximum(one[:2], other[:2]), np.minimum(one[:2] + one[2], other[:2] + other[2])
     common = float(np.prod(np.maximum(high - low, 0.0)))
     return common / (float(one[2] ** 2 + other[2] ** 2) - common)
-
-
-def _likeness(gray: Array, box: Array) -> float:
-    """Return the correlation of a box with the mean face."""
-    patch = _patch(gray, box)
-    spread = np.linalg.norm(patch)
-    return float(np.sum(patch * _mean_face()) / spread) if spread > 0 else 0.0
 
 
 @cache

@@ -159,7 +159,9 @@ def _finished(
     if space is not None and getattr(colors, "mode", "") not in ("CMYK", "LAB"):
         colors = from_space(np.asarray(colors), space)
     if isinstance(colors, np.ndarray):
-        if profile and _in_range(colors):
+        # Floats outside [0, 1] are refused by `as_pixels` later.
+        within = colors.dtype.kind == "u" or bool(np.all((colors >= 0) & (colors <= 1)))
+        if profile and within:
             if colors.dtype != np.uint8:
                 notes = [*notes, "a color profile: 8 bits of its samples are kept to apply it"]
             colors, note = to_srgb(_as_picture(colors), profile)
@@ -176,11 +178,6 @@ def _finished(
             (np.broadcast_to(colors.reshape(*alpha.shape, -1), (*alpha.shape, 3)), alpha)
         )
     return _turned(colors, turned), notes
-
-
-def _in_range(colors: AnyArray) -> bool:
-    """Return whether floats are in [0, 1]; `as_pixels` later refuses floats that are not."""
-    return colors.dtype.kind == "u" or bool(np.all((colors >= 0) & (colors <= 1)))
 
 
 def _as_float(values: AnyArray) -> AnyArray:

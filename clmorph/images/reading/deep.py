@@ -73,11 +73,6 @@ def _of_masks(picture: Any, data: bytes) -> AnyArray | None:
     return found.reshape(height, width, len(masks))
 
 
-def _png_bits(picture: Any, data: bytes) -> int:
-    """Return 16, or 8 for a PNG in an icon, which is not decoded apart from it."""
-    return 16 if data.startswith(b"\x89PNG") else 8
-
-
 def _avif_bits(picture: Any, data: bytes) -> int:
     """Return the depth in the configuration of AV1, of which the first is that of the colors."""
     for kind, content in boxes(data):
@@ -105,7 +100,11 @@ def _jpeg_2000_bits(picture: Any, data: bytes) -> int:
     return bits
 
 
-_BITS = {"PNG": _png_bits, "AVIF": _avif_bits, "JPEG2000": _jpeg_2000_bits}
+#: A PNG in an icon is not decoded apart from it.
+_BITS = {
+    "PNG": lambda picture, data: 16 if data.startswith(b"\x89PNG") else 8, "AVIF": _avif_bits,
+    "JPEG2000": _jpeg_2000_bits,
+}  # fmt: skip
 
 
 def tiles_of(picture: Any) -> Any:

@@ -1,7 +1,6 @@
-"""The color space that a file describes by numbers rather than by an ICC profile.
+"""The color space that a file describes by numbers: PNG, AVIF, JPEG 2000, and BMP.
 
-PNG (cICP, gAMA, cHRM), AVIF (nclx), JPEG 2000 (colr) and BMP (version 4 and 5) say it in different
-places. Codes are those of ITU-T H.273.
+Codes are those of ITU-T H.273.
 """
 
 import struct

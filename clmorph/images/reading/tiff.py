@@ -118,6 +118,9 @@ def _full_range(samples: AnyArray, bits: int) -> AnyArray:
 
 def _check_pieces(file: Path, stream: Any, page: Any, layout: Layout) -> None:
     """Raise an error if a strip or tile is incomplete, or is a picture larger than its size."""
+    from PIL.JpegImagePlugin import JpegImageFile
+    from PIL.WebPImagePlugin import WebPImageFile
+
     if len(page.dataoffsets) > MAX_PIECES:
         raise ValueError("it has too many strips or tiles")
     if len(page.dataoffsets) != len(page.databytecounts):
@@ -133,17 +136,12 @@ def _check_pieces(file: Path, stream: Any, page: Any, layout: Layout) -> None:
         # These decoders believe the size in their own data; the others fill the size of the piece.
         if layout.compression in (*JPEG, WEBP):
             stream.seek(offset)
-            _check_picture((page.jpegheader or b"") + stream.read(count), layout)
-
-
-def _check_picture(data: bytes, layout: Layout) -> None:
-    """Raise an error if a strip or tile that is itself a JPEG or WebP is larger than its size."""
-    from PIL.JpegImagePlugin import JpegImageFile
-    from PIL.WebPImagePlugin import WebPImageFile
-
-    with (WebPImageFile if layout.compression == WEBP else JpegImageFile)(io.BytesIO(data)) as part:
-        if part.width > layout.piece[0] or part.height > layout.piece[1]:
-            raise ValueError("a part of it holds more than its tags say")
+            data = (page.jpegheader or b"") + stream.read(count)
+            with (WebPImageFile if layout.compression == WEBP else JpegImageFile)(
+                io.BytesIO(data)
+            ) as part:
+                if part.width > layout.piece[0] or part.height > layout.piece[1]:
+                    raise ValueError("a part of it holds more than its tags say")
 
 
 def interpret(file: str, stored: Stored) -> tuple[Any, AnyArray | None]:

@@ -1,6 +1,5 @@
 """The list of all formats: a new one is a module and an entry here."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -24,8 +23,3 @@ def by_ending(path: Path) -> Format | None:
     """Return the format that a path's ending stands for; None if no format has it."""
     ending = path.suffix.lower()
     return next((format for format in FORMATS.values() if ending in format.endings), None)
-
-
-def by_content(start: bytes) -> Iterator[Format]:
-    """Return the formats that a file with these first bytes can have."""
-    return (format for format in FORMATS.values() if format.matches(start))

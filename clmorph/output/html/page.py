@@ -50,7 +50,8 @@ def page(scene: Scene, *, max_bytes: float = PAGE_BYTES) -> str:
 
 def write_page(scene: Scene, file: TextIO, *, max_bytes: float = PAGE_BYTES) -> None:
     """Write a page that plays a scene, frame by frame; its own policy lets it load nothing else."""
-    style, script = "\n" + _resource("viewer.css"), _script()
+    parts = "\n".join(_resource(name) for name in SCRIPTS)
+    style, script = "\n" + _resource("viewer.css"), f'\n(() => {{\n"use strict";\n{parts}}})();\n'
     slots = {
         "policy": (
             f"default-src 'none'; img-src data: blob:; style-src '{digest(style)}'; "
@@ -144,12 +145,6 @@ def ascii_html(text: str) -> str:
 @cache
 def _resource(name: str) -> str:
     return files("clmorph.output.html").joinpath(name).read_text(encoding="ascii")
-
-
-@cache
-def _script() -> str:
-    parts = "\n".join(_resource(name) for name in SCRIPTS)
-    return f'\n(() => {{\n"use strict";\n{parts}}})();\n'
 
 
 def digest(text: str) -> str:

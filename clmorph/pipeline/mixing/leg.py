@@ -11,31 +11,14 @@ from clmorph.frames.sequence import Frame
 
 @dataclass(frozen=True)
 class Leg:
-    """The frames of a path from one mix to another one.
+    """The frames of a path from one mix to another one, whose weights change linearly."""
 
-    Attributes
-    ----------
-    draw : callable
-        Draws a mix by its weights.
-    start, end : (K,) arrays
-        Weights at both ends.
-    times : (n,) array
-        Times of the frames, from 0 to 1; weights change linearly with time.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import clmorph
-    >>> images = np.zeros((3, 6, 6, 3))
-    >>> mixes = clmorph.mix(images, [1, 1, 1], n_frames=3, backend="numpy")
-    >>> leg = mixes.path("ab")[0]
-    >>> len(leg), next(leg.iter_frames()).shape
-    (3, (6, 6, 3))
-    """
-
+    #: Draws a mix by its weights.
     draw: Callable[[Array], Frame]
+    #: (K,) weights at both ends.
     start: Array
     end: Array
+    #: (n,) times of the frames, from 0 to 1.
     times: Array
 
     def __len__(self) -> int:
