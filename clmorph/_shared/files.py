@@ -49,7 +49,16 @@ def check_place(target: str | PathLike[str]) -> Path:
     if str(target) == "-":
         raise OutputError(f"-: expected the name of a file, or {STANDARD_OUTPUT}")
     if is_standard_output(target):
-        return _checked_stream()
+        if sys.stdout.isatty():
+            raise OutputError(
+                "standard output is a terminal, which shows no pictures: pipe it into a program, "
+                "or name a file"
+            )
+        try:
+            sys.stdout.fileno()
+        except (AttributeError, OSError):
+            raise OutputError("standard output takes text alone here; name a file") from None
+        return STANDARD_OUTPUT
     try:
         # A link stays a link: its destination is replaced, as by any other program.
         place = Path(target).resolve()
@@ -72,26 +81,10 @@ def check_place(target: str | PathLike[str]) -> Path:
     return place
 
 
-def _checked_stream() -> Path:
-    """Return the place of standard output, or raise OutputError if it takes no bytes."""
-    if sys.stdout.isatty():
-        raise OutputError(
-            "standard output is a terminal, which shows no pictures: pipe it into a program, or "
-            "name a file"
-        )
-    try:
-        sys.stdout.fileno()
-    except (AttributeError, OSError):
-        raise OutputError("standard output takes text alone here; name a file") from None
-    return STANDARD_OUTPUT
-
-
 def check_file_place(target: str | PathLike[str]) -> Path:
     """Return the path at which a file can be written, as `check_place` does; refuse a folder."""
     place = check_place(target)
-    if place == STANDARD_OUTPUT:
-        return place
-    if place.is_dir():
+    if place != STANDARD_OUTPUT and place.is_dir():
         raise OutputError(f"{target} is a folder; choose a file name")
     return place
 

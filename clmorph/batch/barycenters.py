@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from typing import Any
 
 from clmorph._shared.typing import ArrayLike
-from clmorph._shared.validation import errors_about, shown
+from clmorph._shared.validation import errors_about
 from clmorph.backends.select import get_backend
-from clmorph.batch.extra import TURN, check_client, on_workers
+from clmorph.batch.extra import TURN, check_client, check_device, on_workers
 from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.many import as_many
 from clmorph.transport.barycenters.barycenter import barycenter, checked_call, prepared
@@ -73,8 +73,7 @@ def barycenters(
     ...     print("a client is needed")
     a client is needed
     """
-    if not isinstance(backend, str) or not backend:
-        raise InputError(f"backend={shown(backend)}: expected a name, such as 'auto'")
+    check_device(backend)
     call = checked_call(blur, reach, epsilon, rho, tol, max_iter, fixed, debias, seed)
     known = as_many("groups", groups)
     for number, group in enumerate(known):

@@ -19,6 +19,12 @@ def need_dask() -> None:
         raise InputError('batches need the extra "dask": pip install "clmorph[dask]"')
 
 
+def check_device(backend: Any) -> None:
+    """Raise InputError if a device of workers is not given by its name."""
+    if not isinstance(backend, str) or not backend:
+        raise InputError(f"backend={shown(backend)}: expected a name, such as 'auto'")
+
+
 def check_client(client: Any) -> Any:
     """Return a client of Dask's scheduler that is connected, or raise InputError."""
     need_dask()

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from clmorph._shared.validation import shown
-from clmorph.batch.extra import check_client
+from clmorph.batch.extra import check_client, check_device
 from clmorph.batch.jobs import Defaults, from_pairs
 from clmorph.batch.run import run_jobs
 from clmorph.errors import InputError
@@ -61,8 +61,7 @@ def morph(
     ...     print("a client is needed")
     a client is needed
     """
-    if not isinstance(backend, str) or not backend:
-        raise InputError(f"backend={shown(backend)}: expected a name, such as 'auto'")
+    check_device(backend)
     if preset is not None and (not isinstance(preset, str) or preset not in (AUTO, *PRESETS)):
         names = ", ".join(map(repr, (AUTO, *PRESETS)))
         raise InputError(f"preset={shown(preset)}: expected one of {names}")

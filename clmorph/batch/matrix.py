@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph._shared.validation import check_integer, errors_about, shown
+from clmorph._shared.validation import check_integer, errors_about
 from clmorph.backends.select import get_backend
-from clmorph.batch.extra import TURN, check_client, on_workers
-from clmorph.errors import ConvergenceWarning, InputError
+from clmorph.batch.extra import TURN, check_client, check_device, on_workers
+from clmorph.errors import ConvergenceWarning
 from clmorph.measures.many import as_many
 from clmorph.measures.points import AnyMeasure, as_pair
 from clmorph.transport._solver.checks import check_solver_options
@@ -89,8 +89,7 @@ def divergence_matrix(
     given = one_regularization(blur, reach, epsilon, rho)
     tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
     side = check_integer("block", block, 1, 1024)
-    if not isinstance(backend, str) or not backend:
-        raise InputError(f"backend={shown(backend)}: expected a name, such as 'auto'")
+    check_device(backend)
     own = _checked(as_many("measures", measures))
     check_client(client)
     solver = given, tol, max_iter, precision, backend

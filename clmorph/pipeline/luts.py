@@ -161,6 +161,7 @@ def fit_lut(
 
 def lut_of(look: Look | None, size: int, report: StageProgress) -> Lut:
     """Return a look as a table; without one, that of colors that do not change."""
-    if look is None:
-        return Lut(lattice(size).reshape(size, size, size, 3))
-    return Lut(look.table(size, report))
+    colors = lattice(size)
+    if look is not None:
+        colors = look.moved(colors, np.full(len(colors), look.strength), report)
+    return Lut(colors.reshape(size, size, size, 3))

@@ -152,12 +152,6 @@ class Look:
     strength: float
     dark: NearBlack
 
-    def table(self, size: int, report: StageProgress) -> Array:
-        """Return what becomes of the colors of a table: (size, size, size, 3) array."""
-        colors = lattice(size)
-        found = self.moved(colors, np.full(len(colors), self.strength), report)
-        return found.reshape(size, size, size, 3)
-
     def moved(self, colors: Array, shares: Array, report: StageProgress) -> Array:
         """Return colors (N, 3) after shares (N,) of their steps, computed a part at a time."""
 
