@@ -112,13 +112,24 @@ def test_where_the_device_does_not_iterate_the_host_does(device, rng, monkeypatc
     solve = functools.partial(clmorph.sinkhorn, *measures, blur=0.1, reach=0.5, backend=device)
     wanted = solve()
     with monkeypatch.context() as patch:
-        for name in ("MOST_PAIRS", "MOST_PAIRS_ELSEWHERE"):
-            patch.setattr(half_steps, name, 0)
+        patch.setattr(half_steps, "MOST_PAIRS", 0)
         assert isinstance(steps_of(device, rng), HostSteps)
         found = solve()
     assert np.abs(found.g - wanted.g).max() <= 1e-3 * 0.1**2
-    monkeypatch.setattr(half_steps, "KEPT_LEVELS", 0)
+    monkeypatch.setattr(half_steps, "MOST_LEVELS", 0)
     assert isinstance(steps_of(device, rng), HostSteps)
+
+
+def test_a_fast_card_iterates_over_more_pairs(device, rng, monkeypatch):
+    resident(device)
+    monkeypatch.setattr(half_steps, "MOST_PAIRS", 0)
+    clouds = [device.upload(rng.random((70, 3)), np.full(70, 1 / 70)) for _ in range(2)]
+    given = *clouds, (np.full(70, 1 / 70),) * 2, (0.0, 1.0)
+    started = [
+        half_steps.HalfSteps(device.row_loop, device._take_turns, factor).start_iteration(*given)
+        for factor in (1, 8)
+    ]
+    assert [each is None for each in started] == [True, False]
 
 
 def test_iterations_over_stored_pairs_leave_the_same_bytes(device):

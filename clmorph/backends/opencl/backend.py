@@ -32,6 +32,7 @@ from clmorph.backends.opencl.kernels.sliced_ellpack import SlicedEllpack
 from clmorph.backends.opencl.kernels.sparse_half_steps import StoredSteps
 from clmorph.backends.opencl.kernels.splat import Splatting
 from clmorph.backends.opencl.verification.table import first_failure
+from clmorph.backends.speed import speed_factor
 from clmorph.errors import DeviceError
 
 P = ParamSpec("P")
@@ -103,12 +104,13 @@ class OpenCLOperations:
         grids = GridLogSumExp(self.work, self.constants, self.programs)
 
         take_turns = self._take_turns
+        factor = speed_factor(self.on_processor, self.pairs_per_second)
         self.upload = CloudStore(self.work, self.constants, take_turns).upload
         self.softmin = take_turns(log_sum_exp.softmin)
         self.bounded_softmin = take_turns(log_sum_exp.bounded_softmin)
         self.row_maxima = take_turns(log_sum_exp.row_maxima)
         self.grid_log_sum_exp = take_turns(grids.grid_log_sum_exp)
-        self.start_iteration = take_turns(HalfSteps(loop, take_turns).start_iteration)
+        self.start_iteration = take_turns(HalfSteps(loop, take_turns, factor).start_iteration)
         self.upload_batch = take_turns(batches.upload_batch)
         self.take_batch = take_turns(batches.take_batch)
         self.softmin_batch = take_turns(log_sum_exp.softmin_batch)

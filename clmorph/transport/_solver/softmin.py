@@ -1,6 +1,5 @@
 """The soft minimum between two clouds, summed over the pairs with notable terms."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.backends.records import NearPairs, ProgramError
 from clmorph.backends.rounding import rounding_error
+from clmorph.backends.speed import speed_factor
 from clmorph.errors import InputError
 
 #: Problems with at least this many pairs of points are solved through coarser problems, and with
@@ -17,9 +17,6 @@ MANY_PAIRS = 1 << 27
 #: In more dimensions than this, near pairs and clusters save little: boxes bound distances badly,
 #: and points have few neighbors. Such a problem is solved so only where the caller chooses it.
 FEW_DIMENSIONS = 11
-#: Devices other than processors sum as many times more pairs in the time in which a processor, of
-#: this many pairs a second, sums so many.
-USUAL_RATE = 5e9
 #: Near pairs are chosen for a share of the truncation, so that they remain valid while potentials
 #: move. The constants are the first share, its largest factor after each move that was too far, and
 #: the least share. A share below the factor is squared.
@@ -34,14 +31,10 @@ ATTEMPTS = 3
 
 
 def many_pairs(operations: Operations | None = None) -> int:
-    """Return `MANY_PAIRS`, which are 8 or 64 times as many on a fast device.
-
-    The steps are wide, so that a repeated measurement of the device rarely changes it.
-    """
-    if operations is None or operations.on_processor:
+    """Return `MANY_PAIRS`, which are 8 or 64 times as many on a fast device."""
+    if operations is None:
         return MANY_PAIRS
-    ratio = max(1.0, operations.pairs_per_second / USUAL_RATE)
-    return MANY_PAIRS * int(8 ** min(2, round(math.log(ratio, 8))))
+    return MANY_PAIRS * speed_factor(operations.on_processor, operations.pairs_per_second)
 
 
 class Softmin:

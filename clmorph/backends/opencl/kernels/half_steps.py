@@ -1,6 +1,6 @@
 """The host of ``cl_kernels/half_steps.cl``: iterations whose vectors stay on the device."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -20,14 +20,15 @@ from clmorph.backends.opencl.kernels.resident_iteration import (
     ResidentSteps,
     in_turn,
 )
-from clmorph.backends.opencl.kernels.row_loop import KEPT_LEVELS, LOG2_E, work_of_pair
+from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop, work_of_pair
 from clmorph.backends.records import Float64
 
-#: The largest number of pairs of points on the host's processor, where a softmin of so many takes
-#: some tens of milliseconds in its one launch, and on other devices: a single work-group of a
-#: graphics card has a small share of its float64 arithmetic. Measured speeds decide nothing here,
-#: so that a problem is always solved in the same way.
-MOST_PAIRS, MOST_PAIRS_ELSEWHERE = 1 << 25, 1 << 22
+#: The largest number of pairs of points, whose softmin is one launch of some tens of milliseconds,
+#: and this number for each unit of the `speed_factor` of fast devices. One work-group takes the
+#: vectors there, and still needs less time than the host.
+MOST_PAIRS, MOST_OF_FAST = 1 << 25, 1 << 27
+#: The largest number of pairs of tiles.
+MOST_LEVELS = 1 << 21
 #: The largest number of pairs of points, those that pad tiles included, of many problems.
 MOST_OF_MANY = 1 << 27
 #: Names of the arguments of kernels, in their order. "rows" and "columns" are softmins.
@@ -78,6 +79,10 @@ class HalfSteps(ResidentSteps):
 
     variant = Variant("half_steps.cl")
 
+    def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any], factor: int) -> None:
+        super().__init__(loop, take_turns)
+        self.factor = factor  #: `speed_factor` of the device
+
     def start_iteration(
         self, rows: Cloud | Batch, columns: Cloud | Batch, weights: tuple[Float64, Float64],
         inverse_rho: tuple[float, float],
@@ -87,12 +92,12 @@ class HalfSteps(ResidentSteps):
         batches = as_batch(rows), as_batch(columns)
         blocks = batches[0].tiles * batches[1].tiles
         pairs = blocks * self.loop.constants.tile**2 * work_of_pair(batches[0].cloud)
-        is_processor = self.loop.work.device.type & cl.device_type.CPU
-        most = MOST_PAIRS if is_processor else MOST_PAIRS_ELSEWHERE
-        fits = blocks.max() <= KEPT_LEVELS and pairs.max() <= most and pairs.sum() <= MOST_OF_MANY
+        most = MOST_PAIRS if self.factor == 1 else self.factor * MOST_OF_FAST
+        listed = isinstance(rows, Batch)
+        fits = blocks.max() <= MOST_LEVELS and pairs.max() <= most
+        fits &= not listed or pairs.sum() <= MOST_OF_MANY
         if not fits or not self.is_possible():
             return None
-        listed = isinstance(rows, Batch)
         return BatchIteration(self, batches, listed, weights, inverse_rho, corrections)
 
 
@@ -194,16 +199,16 @@ class BatchIteration(DeviceIteration):
         for own, side, others, pairs in zip(
             ("row", "column"), self.batches, self.batches[::-1], self.lists, strict=True
         ):
-            there = np.repeat(left, side.tiles)
-            kept = np.repeat(there, np.diff(pairs.starts))
-            self.arguments[f"{own}_costs"] = self.steps.buffer(
-                pairs.distances[kept] / self.units[0]
-            )
+            distances = pairs.distances
             if self.listed:
+                there = np.repeat(left, side.tiles)
+                kept = np.repeat(there, np.diff(pairs.starts))
                 per_tile = np.where(there, np.repeat(others.tiles, side.tiles), 0)
                 starts = np.append(0, np.cumsum(per_tile))
                 self.arguments[f"{own}_starts"] = work.buffer(starts, np.uint32)
                 self.arguments[f"{own}_listed"] = work.buffer(pairs.tiles[kept], np.uint32)
+                distances = distances[kept]
+            self.arguments[f"{own}_costs"] = self.steps.buffer(distances / self.units[0])
         self.n_pairs = 2 * int(blocks.sum()) * tile**2
         count = len(slots.NUMBERS)
         self.numbers = np.zeros((len(problems), count) if self.listed else count)
