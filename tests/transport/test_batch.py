@@ -228,7 +228,7 @@ class Counted(NumPyOperations):
         self.counts = []
 
     def softmin_batch(self, rows, *more):
-        self.counts.append(len(rows.clouds))
+        self.counts.append(len(rows))
         return super().softmin_batch(rows, *more)
 
 
