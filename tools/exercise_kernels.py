@@ -25,9 +25,8 @@ from clmorph.backends.opencl.build import constants as build_constants
 from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.kernels.launches import Workspace
-from clmorph.backends.opencl.verification.grids import SIZES, grid_case
+from clmorph.backends.opencl.verification.fields import SIZES, colors_of, grid_case, table_of
 from clmorph.backends.opencl.verification.layers import mean_cases, path_cases, scenes
-from clmorph.backends.opencl.verification.tables import colors_of, table_of
 from clmorph.backends.records import PlanTerms
 from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations

@@ -44,11 +44,8 @@ def run(
         message = " ".join(error.format_message().split())
         _complain(f"error: {message} (clmorph --help shows the usage)")
         return 2
-    except FileError as error:  # a file name must not be rewritten as an option
-        _complain(f"error: {error}")
-        return 2
     except ClmorphError as error:
-        _complain(f"error: {in_option_names(str(error), names)}")
+        _complain(line_of(error, names))
         return 2
     except UnicodeError as error:
         _complain(
@@ -72,6 +69,13 @@ def run(
         _complain(f"error: {_reason(error)}")
         return 2
     return code if isinstance(code, int) else 0
+
+
+def line_of(error: ClmorphError, names: Mapping[str, str] | None = None) -> str:
+    """Return an error as the command line says it, after its "clmorph: "."""
+    if isinstance(error, FileError):  # a file name must not be rewritten as an option
+        return f"error: {error}"
+    return f"error: {in_option_names(str(error), names)}"
 
 
 def _reason(error: OSError) -> str:

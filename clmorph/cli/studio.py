@@ -7,9 +7,8 @@ from PIL import Image
 
 from clmorph.cli.common import device_name
 from clmorph.cli.demo import demo_images
-from clmorph.cli.options import in_option_names
+from clmorph.cli.reporting import line_of
 from clmorph.cli.terminal import say
-from clmorph.errors import ClmorphError, FileError
 from clmorph.images.pixels import to_bytes
 from clmorph.studio.serve import serve
 
@@ -25,13 +24,6 @@ def run_studio(
         host, port, device=device_name(device, backend), browser=browser, samples=write_samples,
         line_of=line_of, say=say,
     )  # fmt: skip
-
-
-def line_of(error: ClmorphError) -> str:
-    """Return an error as the command line says it, after its "clmorph: "."""
-    if isinstance(error, FileError):
-        return f"error: {error}"
-    return f"error: {in_option_names(str(error))}"
 
 
 def write_samples(folder: Path) -> list[Path]:

@@ -5,7 +5,7 @@ import pytest
 
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
-from clmorph.backends.opencl.verification.tables import colors_of, table_of
+from clmorph.backends.opencl.verification.fields import colors_of, table_of
 
 REFERENCE = NumPyOperations()
 

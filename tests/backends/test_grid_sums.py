@@ -8,7 +8,7 @@ import pytest
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
-from clmorph.backends.opencl.verification.grids import SIZES, STEPS, grid_case
+from clmorph.backends.opencl.verification.fields import SIZES, STEPS, grid_case
 
 REFERENCE = NumPyOperations()
 

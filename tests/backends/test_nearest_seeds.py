@@ -7,7 +7,7 @@ from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.kernels import nearest_seeds as seed_tree
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.nearest_seeds import plant
-from clmorph.backends.opencl.verification.seeds import SEED_TOLERANCE, seed_excess
+from clmorph.backends.opencl.verification.fields import SEED_TOLERANCE, seed_excess
 
 REFERENCE = NumPyOperations()
 SHAPES = [(33, 41), (1, 1), (16, 16), (5, 70)]

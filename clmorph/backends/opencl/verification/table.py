@@ -8,14 +8,12 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.build.variants import KERNELS, Variant, all_variants
 from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.backends.opencl.verification import (  # noqa: F401 (each adds its rows)
-    grids,
+    fields,
     iterations,
     layers,
     plans,
-    seeds,
     splats,
     sums,
-    tables,
 )
 from clmorph.backends.opencl.verification.bench import DIMENSION, TABLE, Bench, Cloud
 from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS, Finding, words_of
