@@ -35,32 +35,48 @@ from clmorph.transport._solver.coarse_grid import STORED_CHOICES, stored_grid
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.steps import Steps, new_steps
 
+#: Points of a tile on the simulator: of smaller ones few points fill several.
+TILE = 32
 #: All kinds of devices, with float64 and without, and with loops of any length or short ones.
 BUILDS = {
-    "scalar-16": replace(gpu_constants(16), longest_loop=7000),
-    "scalar-64-pairs": replace(gpu_constants(64), precise=1, float64=0),
-    "lanes": lanes_constants(64),
-    "vector-16-pairs": replace(cpu_constants(16), precise=1, float64=0),
+    "scalar-16": replace(gpu_constants(16), tile=TILE, longest_loop=5000),
+    "scalar-64-pairs": replace(gpu_constants(64), tile=TILE, group=32, precise=1, float64=0),
+    "lanes": replace(lanes_constants(64), tile=TILE, group=8),
+    "vector-16-pairs": replace(cpu_constants(16), tile=TILE, precise=1, float64=0),
 }
+#: Pixels of a picture, in two directions more than a bin and more than a work-item of a CPU takes.
+CANVAS = 9, 18
 
 
-def iterated(operations: Operations, rho: tuple[float, float], precise: bool) -> list[np.ndarray]:
+def counts_of(tile: int) -> tuple[list[int], list[int]]:
+    """Return the points of three problems, together two tiles, one tile, and a part of one each."""
+    return [tile - 2, 1, tile + 7], [1, tile // 2 + 4, tile // 2 - 2]
+
+
+def measures_of(tile: int, rng: np.random.Generator) -> list[WeightedPoints]:
+    """Return two random measures of as many points as these problems."""
+    sizes = map(sum, counts_of(tile))
+    return [WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in sizes]
+
+
+def iterated(
+    operations: Operations, rho: tuple[float, float], precise: bool, tile: int
+) -> list[np.ndarray]:
     """Run a few steps of the solver, and take one back."""
-    rng = np.random.default_rng(2)
-    measures = [WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in (130, 67)]
+    measures = measures_of(tile, np.random.default_rng(2))
     steps = new_steps(Problem.between(operations, *measures, rho))
-    return a_few_steps(steps, np.zeros(67), 0.05, precise)
+    return a_few_steps(steps, np.zeros(len(measures[1])), 0.05, precise)
 
 
-def iterated_together(operations: Operations) -> list[np.ndarray]:
+def iterated_together(operations: Operations, tile: int) -> list[np.ndarray]:
     """Run a few steps of three problems, of which one stops and one takes a step back."""
     rng = np.random.default_rng(4)
     pairs = [
         tuple(WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in sizes)
-        for sizes in ((60, 1), (1, 40), (69, 26))
+        for sizes in zip(*counts_of(tile), strict=True)
     ]
     steps = new_steps(problem_of_many(operations, pairs, (0.3, 0.5)))
-    steps.begin(np.zeros(67), 0.05, False)
+    steps.begin(np.zeros(sum(counts_of(tile)[1])), 0.05, False)
     for back in (np.zeros(3, bool), np.zeros(3, bool), np.array([True, False, False])):
         steps.update_rows()
         steps.take_back(back)
@@ -72,20 +88,23 @@ def iterated_together(operations: Operations) -> list[np.ndarray]:
     return [*steps.potentials()]
 
 
-def iterated_over_stored(operations: Operations, rho: tuple[float, float]) -> list[np.ndarray]:
+def iterated_over_stored(
+    operations: Operations, rho: tuple[float, float], tile: int
+) -> list[np.ndarray]:
     """Do the same over stored pairs, with corrections."""
     rng, epsilon = np.random.default_rng(3), 0.05
-    measures = [WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in (130, 67)]
+    measures = measures_of(tile, rng)
+    n, m = map(len, measures)
     problem = Problem.between(operations, *measures, rho)
-    g = np.zeros(67)
+    g = np.zeros(m)
     f, g, t_rows, _ = problem.half_step(0, g, problem.softmin(0, g, epsilon, False), epsilon)
     softmins = t_rows, problem.softmin(1, f, epsilon, False)
-    grid = stored_grid(problem, f, g, softmins, epsilon, 130 * 67, STORED_CHOICES)
+    grid = stored_grid(problem, f, g, softmins, epsilon, n * m, STORED_CHOICES)
     assert grid is not None
     grid.problem.center = grid.source.restrict(f, problem.a)
     corrections = [
         side.restrict(0.3 * epsilon * rng.random(size), np.ones(size))
-        for side, size in ((grid.source, 130), (grid.target, 67))
+        for side, size in ((grid.source, n), (grid.target, m))
     ]
     grid.problem.correct(*corrections, epsilon)
     own = grid.target.restrict(g, problem.b)
@@ -108,10 +127,11 @@ def a_few_steps(steps: Steps, g: np.ndarray, epsilon: float, precise: bool) -> l
     return [*steps.potentials(), np.array([dual, column_dual])]
 
 
-def exercise(operations: Operations) -> list[np.ndarray]:
+def exercise(operations: Operations, tile: int = 64) -> list[np.ndarray]:
     """Every operation once, at sizes that divide nothing."""
     rng = np.random.default_rng(1)
-    n, m = 130, 67
+    counts = tuple(map(np.array, counts_of(tile)))
+    n, m = map(int, map(sum, counts))
     weights = rng.random(n)
     weights[::5] = 0
     rows = operations.upload(rng.random((n, 5)), weights)
@@ -127,26 +147,25 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         operations.bounded_softmin(rows, columns, g, 0.01)[0],
         operations.bounded_softmin(columns, rows, f, 0.01)[0],
     ]
-    results += iterated(operations, (0.3, 0.5), precise=False)
-    results += iterated(operations, (np.inf, np.inf), precise=True)
+    results += iterated(operations, (0.3, 0.5), False, tile)
+    results += iterated(operations, (np.inf, np.inf), True, tile)
     # Kernels branch on each side by itself, and on whether both sides are balanced.
     for rho in ((0.3, 0.5), (np.inf, np.inf)):
-        results += iterated_over_stored(operations, rho)
+        results += iterated_over_stored(operations, rho, tile)
     # Three problems, then the outer two.
-    counts = np.array([60, 1, 69]), np.array([1, 40, 26])
     points = [rng.random((size, 5)) for size in (n, m)]
     batches = [
         operations.upload_batch(own, np.full(len(own), 0.5), count)
         for own, count in zip(points, counts, strict=True)
     ]
     outer = [operations.take_batch(batch, np.array([0, 2])) for batch in batches]
-    for own, potential in ((batches, g), (outer, np.delete(g, range(1, 41)))):
+    for own, potential in ((batches, g), (outer, np.delete(g, 1 + np.arange(counts[1][1])))):
         results += [
             operations.softmin_batch(*own, potential, 0.01),
             operations.softmin_batch(*own, potential, 0.01, True),
             operations.bounded_softmin_batch(*own, potential, 0.01)[0],
         ]
-    results += iterated_together(operations)
+    results += iterated_together(operations, tile)
     for (clouds, own, potential), guess in zip(both, guesses, strict=True):
         near = operations.near_pairs(*clouds, potential, guess, 0.01, 1e-7)
         results.append(np.array([float(near.skipped.max() <= 2e-7)]))
@@ -194,22 +213,24 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         # Where a field folds, rounding decides which way a path goes.
         results.append(np.isfinite(paths).astype(float) if name == "folding" else paths)
     results += [scene.draw(operations) for scene in scenes((11, 9)).values()]
-    moving = operations.upload_particles(
-        rng.random((40, 6)), rng.integers(0, 40, (150, 2)).astype(np.uint32), rng.random((150, 2))
-    )
-    splats = operations.advect(moving, 0.3, (20.0, 15.0), (10.0, 7.5))
-    own = operations.adapt_widths(splats, 4 * rng.random((16, 21)), 1.3)
+    # Spacings, in the last column, are such that some widths are less than the base's, some more.
+    table = rng.random((40, 6)) * [1, 1, 1, 1, 1, 0.15]
+    links = rng.integers(0, 40, (60, 2)).astype(np.uint32)
+    moving = operations.upload_particles(table, links, rng.random((60, 2)))
+    splats = operations.advect(moving, 0.3, (18.0, 9.0), (9.0, 4.5))
+    own = operations.adapt_widths(splats, 2 * rng.random(CANVAS), 0.7)
     results.append(operations.width_levels(own).astype(float))
-    results += operations.deposit(splats, (16, 21))
+    results += operations.deposit(splats, CANVAS)
     resting = operations.upload_splats(
-        rng.uniform(-9, 30, (90, 2)).astype(np.float32),
+        rng.uniform(-9, 25, (90, 2)).astype(np.float32),
         rng.random((90, 3)).astype(np.float32),
         rng.random(90).astype(np.float32),
     )
-    results.append(operations.bin_splats(resting, (16, 21), 1).order.astype(float))
-    seeds = rng.uniform(-9, 30, (190, 2)).astype(np.float32)
-    for count in (1, 190):
-        results.append(operations.nearest_seeds(seeds[:count], (16, 21)).astype(float))
+    results.append(operations.bin_splats(resting, CANVAS, 1).order.astype(float))
+    # Trees of no and of three levels.
+    seeds = rng.uniform(-9, 25, (140, 2)).astype(np.float32)
+    for count in (1, 140):
+        results.append(operations.nearest_seeds(seeds[:count], CANVAS).astype(float))
     for table in map(table_of, (2, 5)):
         on_device = operations.upload_table(table)
         results.append(operations.apply_table(on_device, colors_of(70, len(table))))
@@ -218,29 +239,27 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     for method in ("gather", "moments"):
         if isinstance(operations, OpenCLOperations):
             operations.splatting.method = method
-        results += operations.splat(splats, (16, 21), 1.3, 7.0)
-        results += operations.splat(splats, (16, 21), 0.0, 0.5)
-        results += operations.splat(own, (16, 21), 1.3, 7.0)
-        results += operations.splat(resting, (16, 21), 0.7, 4.0)
-        results += operations.splat(resting, (16, 21), 3.0, 15.0)
-    return results
+        # Cells of half a pixel, and where widths differ, of one; of two pixels.
+        results += operations.splat(own, CANVAS, 0.7, 3.8)
+        results += operations.splat(resting, CANVAS, 2.7, 14.0)
+    return [*results, *operations.splat(splats, CANVAS, 0.0, 0.5)]
 
 
 def exercise_many_dimensions(operations: Operations) -> list[np.ndarray]:
     """Run what has programs of its own from 12 coordinates on, at two slices of them."""
     rng, epsilon = np.random.default_rng(5), 0.5
-    clouds = [(rng.random((n, 18)), rng.integers(0, 2, n) / n) for n in (90, 67)]
+    clouds = [(rng.random((n, 18)), rng.integers(0, 2, n) / n) for n in (40, 35)]
     rows, columns = (operations.upload(*cloud) for cloud in clouds)
-    # Moments are many, and a quarter of the simulator's time: of rows there is one tile.
-    few = operations.upload(*(values[:50] for values in clouds[0]))
-    f, g = 0.1 * rng.random(90), 0.1 * rng.random(67)
+    # Moments are many: of rows there is a part of a tile.
+    few = operations.upload(*(values[:20] for values in clouds[0]))
+    f, g = 0.1 * rng.random(40), 0.1 * rng.random(35)
     results = [operations.row_maxima(rows, columns, g, epsilon),
                operations.bounded_softmin(rows, columns, g, epsilon)[0]]  # fmt: skip
     for precise in (False, True):
         softmin = operations.softmin(rows, columns, g, epsilon, precise)
-        limits = np.full(90, -9.0), np.full(67, np.inf)
+        limits = np.full(40, -9.0), np.full(35, np.inf)
         results += [softmin, *operations.barycentric_projection(rows, columns, g, epsilon, precise)]
-        results += operations.plan_moments(few, columns, g, softmin[:50], epsilon, precise)
+        results += operations.plan_moments(few, columns, g, softmin[:20], epsilon, precise)
         results.append(
             operations.plan_rows(PlanTerms(rows, columns, f, g, epsilon, *limits), precise).mass
         )
@@ -276,9 +295,9 @@ def main(arguments: list[str]) -> int:
         print(f"no OpenCL platform is called {platform!r}", file=sys.stderr)
         return 2
     keep_buffers()
-    build_constants.MOMENT_CHUNK = 16  # so few particles come in several chunks
+    build_constants.MOMENT_CHUNK = 8  # so few particles come in several chunks
     began = time.perf_counter()
-    wanted = exercise(NumPyOperations()) + exercise_many_dimensions(NumPyOperations())
+    wanted = exercise(NumPyOperations(), TILE) + exercise_many_dimensions(NumPyOperations())
     operations = OpenCLOperations(device, BUILDS[build], verify=False)
     operations.row_loop.device_levels = 0
     if not operations.has_float64:
@@ -286,7 +305,7 @@ def main(arguments: list[str]) -> int:
         # What these kernels read and write is the same in the build with float64.
         for name in ("start_iteration", "start_stored_iteration"):
             setattr(operations, name, lambda *_: None)
-    got = exercise(operations) + exercise_many_dimensions(operations)
+    got = exercise(operations, TILE) + exercise_many_dimensions(operations)
     for number, (ours, theirs) in enumerate(zip(got, wanted, strict=True)):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-5, err_msg=str(number))
     print(f"{build}: {len(got)} results agree, {time.perf_counter() - began:.1f} s")
