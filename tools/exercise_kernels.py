@@ -161,9 +161,9 @@ def exercise(operations: Operations, tile: int = 64) -> list[np.ndarray]:
     outer = [operations.take_batch(batch, np.array([0, 2])) for batch in batches]
     for own, potential in ((batches, g), (outer, np.delete(g, 1 + np.arange(counts[1][1])))):
         results += [
-            operations.softmin_batch(*own, potential, 0.01),
-            operations.softmin_batch(*own, potential, 0.01, True),
-            operations.bounded_softmin_batch(*own, potential, 0.01)[0],
+            operations.softmin(*own, potential, 0.01),
+            operations.softmin(*own, potential, 0.01, True),
+            operations.bounded_softmin(*own, potential, 0.01)[0],
         ]
     results += iterated_together(operations, tile)
     for (clouds, own, potential), guess in zip(both, guesses, strict=True):

@@ -107,6 +107,7 @@ class Operations(Protocol):
 
         It is -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon), with C_ij = |X_i - Y_j|^2 / 2
         (section 3.1 of the paper), summed over the pairs of `near` alone if these are given.
+        Between batches of clouds it is that of each problem, one after the other.
         Precise exponents are formed in more than float32, at about half the speed.
         """
 
@@ -118,14 +119,14 @@ class Operations(Protocol):
         epsilon: float,
         near: NearPairs | None = None,
         enough: float = 0.0,
-    ) -> tuple[Float64, float]:
+    ) -> tuple[Float64, Any]:
         """Return the soft minimum, and a proven bound of its rounding error.
 
-        The bound is one of the sums' logarithms, in nats. It is infinite where numbers are too
-        large, and does not cover the pairs that `near` leaves out. Exponentials and sums are formed
-        in float64, or in pairs of float32, which takes about three or nine times as long as
-        `softmin`; float32 is used over near pairs where its error is proven to be at most `enough`,
-        in nats.
+        The bound is one of the sums' logarithms, in nats, and (B,) between batches. It is infinite
+        where numbers are too large, and does not cover the pairs that `near` leaves out.
+        Exponentials and sums are formed in float64, or in pairs of float32, which takes about three
+        or nine times as long as `softmin`; float32 is used over near pairs where its error is
+        proven to be at most `enough`, in nats.
         """
 
     def grid_log_sum_exp(
@@ -169,16 +170,6 @@ class Operations(Protocol):
 
     def take_batch(self, batch: Any, problems: NDArray[np.int64]) -> Any:
         """Return a batch of some clouds of a batch, in the order of their numbers `problems`."""
-
-    def softmin_batch(
-        self, rows: Any, columns: Any, potential: Float64, epsilon: float, precise: bool = False
-    ) -> Float64:
-        """Return `softmin` between clouds b of two batches for all b: (N,) array, cost units."""
-
-    def bounded_softmin_batch(
-        self, rows: Any, columns: Any, potential: Float64, epsilon: float
-    ) -> tuple[Float64, Float64]:
-        """Return `softmin_batch`, (N,), and a bound as `bounded_softmin` for each problem, (B,)."""
 
     def near_pairs(
         self,

@@ -39,15 +39,15 @@ def test_a_batch_of_all_kinds_of_clouds(variant, rng, blur):
     g = np.concatenate(
         [0.2 * rng.random() + epsilon * rng.normal(size=len(b)) for _, (_, b) in pairs]
     )
-    want, errors = REFERENCE.bounded_softmin_batch(*_upload(REFERENCE, pairs), g, epsilon)
+    want, errors = REFERENCE.bounded_softmin(*_upload(REFERENCE, pairs), g, epsilon)
     ours = _upload(variant, pairs)
     for precise in (False, True):
-        got = variant.softmin_batch(*ours, g, epsilon, precise)
+        got = variant.softmin(*ours, g, epsilon, precise)
         parts = zip(PAIRS, pairs, _split(got, pairs, 0), _split(want, pairs, 0), strict=True)
         for name, pair, mine, exact in parts:
             tolerance = log_sum_exp_tolerance(variant, *pair, epsilon, precise)
             assert np.abs(mine - exact).max() / epsilon <= tolerance, name
-    got, bounds = variant.bounded_softmin_batch(*ours, g, epsilon)
+    got, bounds = variant.bounded_softmin(*ours, g, epsilon)
     off = [np.abs(each).max() / epsilon for each in _split(got - want, pairs, 0)]
     assert np.all(off <= bounds + errors)
     # Other problems of the batch, far away or not, do not widen a bound.
@@ -61,8 +61,8 @@ def test_a_batch_of_all_kinds_of_clouds(variant, rng, blur):
 def test_the_twin_does_what_single_problems_do(rng):
     pairs = [make(rng) for make in PAIRS.values()]
     g = rng.normal(size=sum(len(b) for _, (_, b) in pairs))
-    got, errors = REFERENCE.bounded_softmin_batch(*_upload(REFERENCE, pairs), g, 0.01)
-    assert np.array_equal(got, REFERENCE.softmin_batch(*_upload(REFERENCE, pairs), g, 0.01))
+    got, errors = REFERENCE.bounded_softmin(*_upload(REFERENCE, pairs), g, 0.01)
+    assert np.array_equal(got, REFERENCE.softmin(*_upload(REFERENCE, pairs), g, 0.01))
     parts = zip(pairs, _split(got, pairs, 0), _split(g, pairs, 1), errors, strict=True)
     for pair, mine, potential, error in parts:
         clouds = [REFERENCE.upload(*cloud) for cloud in pair]
@@ -86,7 +86,7 @@ def test_offsets_add_to_the_cost(variant, rng):
     ]
     g = rng.normal(size=counts[1].sum())
     got, want = (
-        backend.softmin_batch(*(backend.upload_batch(*cloud) for cloud in clouds), g, 0.1)
+        backend.softmin(*(backend.upload_batch(*cloud) for cloud in clouds), g, 0.1)
         for backend in (variant, REFERENCE)
     )
     assert np.abs(got - want).max() / 0.1 < 1e-4
@@ -96,7 +96,7 @@ def test_numbers_without_a_bound_are_told_for_their_problem_alone(variant, rng):
     counts = np.array([20, 20])
     points = np.concatenate((rng.random((20, 3)), 1e6 * rng.random((20, 3))))
     batch = variant.upload_batch(points, np.ones(40), counts)
-    _, bounds = variant.bounded_softmin_batch(batch, batch, np.zeros(40), 1e-2)
+    _, bounds = variant.bounded_softmin(batch, batch, np.zeros(40), 1e-2)
     assert bounds[0] < 1e-6 < bounds[1]
 
 
@@ -111,7 +111,7 @@ def _large(rng, operations):
 
 def test_one_launch_for_all_problems(device, rng, monkeypatch):
     (rows, columns), g = _large(rng, device)
-    device.softmin_batch(rows, columns, g, 0.01)
+    device.softmin(rows, columns, g, 0.01)
     launches, launch = [], Workspace.launch
     monkeypatch.setattr(
         Workspace,
@@ -119,8 +119,8 @@ def test_one_launch_for_all_problems(device, rng, monkeypatch):
         lambda self, *given, **read: (launches.append(1), launch(self, *given, **read)),
     )
     for call in (
-        lambda: device.softmin_batch(rows, columns, g, 0.01),
-        lambda: device.bounded_softmin_batch(rows, columns, g, 0.01),
+        lambda: device.softmin(rows, columns, g, 0.01),
+        lambda: device.bounded_softmin(rows, columns, g, 0.01),
         lambda: device.take_batch(rows, np.array([1, 5])),
     ):
         launches.clear()
@@ -130,9 +130,9 @@ def test_one_launch_for_all_problems(device, rng, monkeypatch):
 
 def test_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng):
     (rows, columns), g = _large(rng, variant)
-    whole = variant.softmin_batch(rows, columns, g, 0.01)
+    whole = variant.softmin(rows, columns, g, 0.01)
     monkeypatch.setattr(LaunchBudget, "pairs", lambda self: 1)
-    assert np.array_equal(variant.softmin_batch(rows, columns, g, 0.01), whole)
+    assert np.array_equal(variant.softmin(rows, columns, g, 0.01), whole)
 
 
 @pytest.mark.one_device
@@ -146,8 +146,8 @@ def test_where_loops_end_early(device, rng):
         for sizes in ((70, 900), (1, 1), (300, 65))
     ]
     g = 0.01 * rng.normal(size=966)
-    got = short.softmin_batch(*_upload(short, pairs), g, 0.01)
-    want = REFERENCE.softmin_batch(*_upload(REFERENCE, pairs), g, 0.01)
+    got = short.softmin(*_upload(short, pairs), g, 0.01)
+    want = REFERENCE.softmin(*_upload(REFERENCE, pairs), g, 0.01)
     assert np.abs(got - want).max() / 0.01 < 1e-4
 
 

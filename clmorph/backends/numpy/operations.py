@@ -60,14 +60,17 @@ class NumPyOperations:
 
     def softmin(
         self,
-        rows: Cloud,
-        columns: Cloud,
+        rows: Any,
+        columns: Any,
         potential: Float64,
         epsilon: float,
         precise: bool = False,
         near: NearPairs | None = None,
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon) (paper, 3.1; math: softmin)."""
+        if isinstance(rows, list):
+            problems = _problems(rows, columns, potential)
+            return np.concatenate([self.softmin(*problem, epsilon) for problem in problems])
         result = np.empty(len(rows.points))
         for block, exponents in exponent_blocks(rows, columns, potential, epsilon, near):
             largest = exponents.max(axis=1)
@@ -93,14 +96,19 @@ class NumPyOperations:
 
     def bounded_softmin(
         self,
-        rows: Cloud,
-        columns: Cloud,
+        rows: Any,
+        columns: Any,
         potential: Float64,
         epsilon: float,
         near: NearPairs | None = None,
         enough: float = 0.0,
-    ) -> tuple[Float64, float]:
+    ) -> tuple[Float64, Any]:
         """Return T(g) and a bound of its rounding error in nats."""
+        if isinstance(rows, list):
+            problems = _problems(rows, columns, potential)
+            found = [self.bounded_softmin(*problem, epsilon) for problem in problems]
+            softmins, errors = zip(*found, strict=True)
+            return np.concatenate(softmins), np.array(errors)
         softmin = self.softmin(rows, columns, potential, epsilon, near=near)
         points = np.concatenate((rows.points, columns.points))
         size = 0.5 * float(np.sum(np.ptp(points, axis=0) ** 2))
@@ -128,22 +136,6 @@ class NumPyOperations:
     def take_batch(self, batch: Batch, problems: NDArray[np.int64]) -> Batch:
         """Return a batch of some clouds of a batch."""
         return [batch[number] for number in problems]
-
-    def softmin_batch(
-        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float, precise: bool = False
-    ) -> Float64:
-        """Return the soft minima of many problems."""
-        problems = _problems(rows, columns, potential)
-        return np.concatenate([self.softmin(*problem, epsilon) for problem in problems])
-
-    def bounded_softmin_batch(
-        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float
-    ) -> tuple[Float64, Float64]:
-        """Return the soft minima of many problems, and bounds of their rounding errors in nats."""
-        problems = _problems(rows, columns, potential)
-        found = [self.bounded_softmin(*problem, epsilon) for problem in problems]
-        softmins, errors = zip(*found, strict=True)
-        return np.concatenate(softmins), np.array(errors)
 
     def near_pairs(
         self,

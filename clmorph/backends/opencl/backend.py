@@ -113,8 +113,6 @@ class OpenCLOperations:
         self.start_iteration = take_turns(HalfSteps(loop, take_turns, factor).start_iteration)
         self.upload_batch = take_turns(batches.upload_batch)
         self.take_batch = take_turns(batches.take_batch)
-        self.softmin_batch = take_turns(log_sum_exp.softmin_batch)
-        self.bounded_softmin_batch = take_turns(log_sum_exp.bounded_softmin_batch)
         self.near_pairs = take_turns(near_field.near_pairs)
         self.count_plan_rows = take_turns(plan_rows.count_plan_rows)
         self.plan_rows = take_turns(plan_rows.plan_rows)

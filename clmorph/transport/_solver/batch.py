@@ -40,9 +40,9 @@ class BatchSoftmin(Softmin):
         arguments = self.rows, self.columns, potential, epsilon
         self.roundoff = 0.0
         if bounded:
-            softmin, self.roundoff = self.operations.bounded_softmin_batch(*arguments)
+            softmin, self.roundoff = self.operations.bounded_softmin(*arguments)
         else:
-            softmin = self.operations.softmin_batch(*arguments, precise)
+            softmin = self.operations.softmin(*arguments, precise)
         if not np.all(np.isfinite(softmin)):
             place = int(np.argmin(np.isfinite(softmin)))
             raise NotFiniteError(

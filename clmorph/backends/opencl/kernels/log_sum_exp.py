@@ -1,5 +1,7 @@
 """The log-sum-exp of ``cl_kernels/log_sum_exp.cl``: soft minima and the rows' maxima."""
 
+from typing import Any
+
 import numpy as np
 import pyopencl as cl
 
@@ -27,64 +29,47 @@ class LogSumExp:
 
     def softmin(
         self,
-        rows: Cloud,
-        columns: Cloud,
+        rows: Cloud | Batch,
+        columns: Cloud | Batch,
         potential: Float64,
         epsilon: float,
         precise: bool = False,
         near: NearPairs | None = None,
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
-        pairs = None if near is None else near.pairs
-        found = self.of_sorted(rows, columns, potential, epsilon, precise, pairs)
-        return unsort(rows, _softmin(*found, epsilon))
+        own, other = as_batch(rows), as_batch(columns)
+        pairs = _pairs_between(rows, columns, near)
+        found = self.of_sorted(own.cloud, other.cloud, potential, epsilon, precise, pairs)
+        return own.in_order(_softmin(*found, epsilon))
 
     def bounded_softmin(
         self,
-        rows: Cloud,
-        columns: Cloud,
+        rows: Cloud | Batch,
+        columns: Cloud | Batch,
         potential: Float64,
         epsilon: float,
         near: NearPairs | None = None,
         enough: float = 0.0,
-    ) -> tuple[Float64, float]:
+    ) -> tuple[Float64, Any]:
         """Return T(g) with a proven bound of its rounding error, in nats."""
-        constants, k = self._loop.constants, LOG2_E / epsilon
-        pairs, float32 = None if near is None else near.pairs, None
-        few = columns.centers.shape[1] < SLICED_FROM  # coordinates
-        if pairs is not None and constants.precise == 2 and few:
-            powers = float32_powers_bound(columns.stride, USUAL_SUM, constants.unroll)
+        constants, k, float32 = self._loop.constants, LOG2_E / epsilon, None
+        own, other = as_batch(rows), as_batch(columns)
+        pairs, cloud = _pairs_between(rows, columns, near), other.cloud
+        few = cloud.centers.shape[1] < SLICED_FROM  # coordinates
+        if near is not None and constants.precise == 2 and few:
+            powers = float32_powers_bound(cloud.stride, USUAL_SUM, constants.unroll)
             if powers <= enough:
-                values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
-                float32 = Float32Pairs(rows, columns, pairs, values, k, enough - powers)
+                values = (potential[cloud.order] - cloud.offsets) * k + cloud.log2_weights
+                float32 = Float32Pairs(own.cloud, cloud, near.pairs, values, k, enough - powers)
         maxima, sums, offsets = self.of_sorted(
-            rows, columns, potential, epsilon, True, pairs, True, float32
+            own.cloud, cloud, potential, epsilon, True, pairs, True, float32
         )
-        batches = as_batch(rows), as_batch(columns)
-        error = float(self._error_bounds(*batches, potential, epsilon, maxima, sums)[0])
-        if float32 is not None and error < np.inf:
-            smallest = float(sums.min())
-            error += float32_powers_bound(columns.stride, smallest, constants.unroll)
-            error += float32.largest
-        return unsort(rows, _softmin(maxima, sums, offsets, epsilon)), error
-
-    def softmin_batch(
-        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float, precise: bool = False
-    ) -> Float64:
-        """Return the soft minima of many problems."""
-        pairs = pairs_of(rows, columns)
-        found = self.of_sorted(rows.cloud, columns.cloud, potential, epsilon, precise, pairs)
-        return rows.in_order(_softmin(*found, epsilon))
-
-    def bounded_softmin_batch(
-        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float
-    ) -> tuple[Float64, Float64]:
-        """Return the soft minima of many problems, and bounds of their rounding errors in nats."""
-        maxima, sums, offsets = self.of_sorted(
-            rows.cloud, columns.cloud, potential, epsilon, True, pairs_of(rows, columns), True
-        )
-        errors = self._error_bounds(rows, columns, potential, epsilon, maxima, sums)
-        return rows.in_order(_softmin(maxima, sums, offsets, epsilon)), errors
+        errors = self._error_bounds(own, other, potential, epsilon, maxima, sums)
+        if float32 is not None and errors[0] < np.inf:
+            errors += float32_powers_bound(cloud.stride, float(sums.min()), constants.unroll)
+            errors += float32.largest
+        softmin = own.in_order(_softmin(maxima, sums, offsets, epsilon))
+        return softmin, errors if isinstance(rows, Batch) else float(errors[0])
 
     def _error_bounds(
         self, rows: Batch, columns: Batch, potential: Float64, epsilon: float, maxima: Float64,
@@ -173,6 +158,15 @@ class LogSumExp:
             sums[section] = np.sum(of_shares * np.exp2(found - m), axis=0)
         n = len(rows)
         return maxima[:n], sums[:n], loop.row_offsets(rows, exponents)
+
+
+def _pairs_between(
+    rows: Cloud | Batch, columns: Cloud | Batch, near: NearPairs | None
+) -> TilePairs | None:
+    """Return the pairs of tiles that are summed, None for all: each problem of many has its own."""
+    if isinstance(rows, Batch) and isinstance(columns, Batch):
+        return pairs_of(rows, columns)
+    return None if near is None else near.pairs
 
 
 def _softmin(maxima: Float64, sums: Float64, offsets: Float64, epsilon: float) -> Float64:

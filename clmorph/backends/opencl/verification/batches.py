@@ -44,10 +44,10 @@ def softmin_batches(bench: Bench, variant: Variant) -> Findings:
         own = [problems[number] for number in numbers]
         g = np.concatenate([case.g for case in own])
         if variant.bounded:
-            got, bounds = operations.bounded_softmin_batch(*batch, g, EPSILON)
+            got, bounds = operations.bounded_softmin(*batch, g, EPSILON)
             bounds = np.minimum(bounds, LARGEST_BOUND)
         else:
-            got = operations.softmin_batch(*batch, g, EPSILON, variant.precise)
+            got = operations.softmin(*batch, g, EPSILON, variant.precise)
             bounds = np.array([case.tolerance(variant.precise) for case in own])
         share = 0.0
         for case, found, bound in zip(
@@ -57,7 +57,7 @@ def softmin_batches(bench: Bench, variant: Variant) -> Findings:
             with np.errstate(over="ignore"):
                 share = float(np.maximum(share, case.off(found) / (bound + exact_bound)))
         kind = "bounded_" if variant.bounded else "precise " * variant.precise
-        yield Finding(f"{kind}softmin_batch of {len(own)} problems, {variant.dimension}D", share)
+        yield Finding(f"{kind}softmin of {len(own)} problems, {variant.dimension}D", share)
 
 
 def batch_iterations(bench: Bench) -> Findings:
