@@ -176,13 +176,9 @@ def _listing() -> str:
 
 
 def _named_by_pyopencl_ctx(value: str) -> list[tuple[str, "cl.Device"]]:
-    """Return the devices that a value of ``PYOPENCL_CTX`` names; none may be meant.
-
-    The value is "platform" or "platform:devices", as pyopencl has it: the platform's index or a
-    part of its name, and indices or parts of names with commas between. In place of a platform it
-    may also name a device alone. An empty platform is the first one, as in pyopencl, which itself
-    lists no runtimes from pip, and of several platforms with the same name takes one.
-    """
+    """Return the devices that a value of ``PYOPENCL_CTX`` names, perhaps none."""
+    # As in pyopencl: "platform:devices", by index or part of a name, devices with commas between,
+    # an empty platform for the first one; and here also a device alone.
     platform, _, devices = value.partition(":")
     platform = platform.strip() or "0"
     wanted = [part for part in devices.split(",") if part.strip()]

@@ -51,12 +51,7 @@ def candidates(
     k: float,
     budget: float,
 ) -> Iterator[Candidates]:
-    """Yield the pairs of tiles that bounds do not exclude, in parts of the row tiles.
-
-    The device computes bounds while threads choose tiles by the bounds of earlier parts. `bounds`
-    are the `row_bounds` of `of_rows`; values of sorted points are the arguments of `row_bounds` and
-    `column_bounds`. The excluded pairs hold at most the share `budget` of any row's sum.
-    """
+    """Yield pairs of tiles, in parts of the row tiles; others hold at most the share `budget`."""
     n_columns = len(columns.centers)
     sides = [(bounds, column_bounds(columns, of_columns, k))]
     wides: list[_Sides] = []

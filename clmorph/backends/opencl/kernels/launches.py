@@ -116,15 +116,9 @@ class Workspace:
         *arguments: Any,
         results: Results = (),
     ) -> None:
-        """Run a kernel, read its results, and wait once for all of this.
-
-        Arguments are NumPy scalars and buffers, and nothing else sets them. This function keeps
-        references to the buffers until the launch has ended, because a kernel does not. Arguments
-        are set one by one, because pyopencl's `set_args` generates code for each kernel, which
-        takes more time than it saves. `size` and `group` are global and local. `results` are
-        contiguous arrays, and the buffers that they are read from after the launch: on a CPU a wait
-        takes longer than a short kernel.
-        """
+        """Run a kernel, read its `results` (arrays, buffers), and wait once for all of this."""
+        # Nothing else sets arguments, NumPy scalars and buffers. A kernel holds no buffers:
+        # this function does until the launch has ended. pyopencl's `set_args` generates code.
         check_cancelled()
         known = self._scalars.setdefault(kernel, {})
         for number, argument in enumerate(arguments):

@@ -217,15 +217,10 @@ class Layers:
 
 
 class _Window:
-    """The cells around each point along one axis.
-
-    `radius` is the number of cells on each side of the nearest one, without those that no point
-    has, and `cells` all of them, rounded up to a multiple of the lanes. `firsts`, (points,), is the
-    first cell around each point, below 0 outside the grid; `weights`, (points, cells), are
-    Gaussians of the distances, 0 for cells that fill up the lanes.
-    """
+    """The `cells` around each point along one axis, `radius` on each side, filled up to lanes."""
 
     def __init__(self, few: int, many: int, sigma: float, lanes: int) -> None:
+        # `firsts`, (points,), may be below 0; `weights`, (points, cells), are Gaussians.
         places, centers = nearest_cells(few, many)
         self.radius = min(mean_radius(sigma), few - 1)
         wanted = 2 * self.radius + 1
