@@ -117,7 +117,18 @@ class Report:
         return float(self.displacement.created.sum()) / self.target.mass
 
     def summary(self) -> dict[str, Any]:
-        """Return all numbers as values that `json.dumps` accepts: finite, or None."""
+        """Return all numbers as values that `json.dumps` accepts: finite, or None.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
+        >>> sorted(found.summary()["mass"])
+        ['created', 'destroyed', 'transported']
+        """
         found, moved, plan = self.potentials, self.displacement, self.plan
         reach = found.reach if isinstance(found.reach, tuple) else (found.reach, found.reach)
         divergence = self.divergence
@@ -189,11 +200,33 @@ class Report:
         return _finite(result)
 
     def lines(self) -> list[str]:
-        """Return the main numbers as readable lines, one for each."""
+        """Return the main numbers as readable lines, one for each.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
+        >>> found.lines()[0]
+        'source        6 x 6 pixels'
+        """
         return [f"{label:<13} {text}" for label, text in self.entries()]
 
     def entries(self) -> list[tuple[str, str]]:
-        """Return the main numbers as labels and texts."""
+        """Return the main numbers as labels and texts.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
+        >>> found.entries()[0]
+        ('source', '6 x 6 pixels')
+        """
         moved, plan, seconds = self.displacement, self.plan, self.seconds
         bounds = f"gap {self.potentials.gap:.2g}" if self.potentials.reach is not None else (
             f"marginals off by {self.potentials.marginal_error:.2g}"

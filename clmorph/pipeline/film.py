@@ -21,7 +21,18 @@ class Film(FrameSequence):
     _renderer: Any
 
     def canvas(self, t: float) -> Canvas:
-        """Return the canvas at time t."""
+        """Return the canvas at time t.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> morph.canvas(0.5).shape
+        (6, 6)
+        """
         canvas: Canvas = self._renderer.canvas(check_number("t", t, 0.0, 1.0))
         return canvas
 
@@ -37,6 +48,17 @@ class Film(FrameSequence):
         Returns
         -------
         Sums
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> sums = morph.sums(0.5)
+        >>> sums.colors.shape, sums.coverage.shape, sums.density.shape
+        ((6, 6, 3), (6, 6), (6, 6))
         """
         t = check_number("t", t, 0.0, 1.0)
         sums: Sums = self._renderer.sums(t, check_widths(widths))

@@ -129,7 +129,17 @@ class Morph(Film):
 
     @property
     def given_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Shapes (height, width) of the images as given; landmarks are in their pixels."""
+        """Shapes (height, width) of the images as they were given, in whose pixels landmarks are.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> image = np.eye(12)
+        >>> morph = clmorph.morph(image, image, size=6, n_frames=2, backend="numpy")
+        >>> morph.given_shapes, morph.source.shape
+        (((12, 12), (12, 12)), (6, 6))
+        """
         return self.shapes or (self.canvas(0.0).shape, self.canvas(1.0).shape)
 
     @property
@@ -163,6 +173,16 @@ class Morph(Film):
         ----------
         first : int
             Number of the first frame.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> [frame.shape for frame in morph.iter_frames()]
+        [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
         """
         first = check_integer("first", first, 0, len(self))
         if self._kept or not self._renderer.at_once:
@@ -287,6 +307,15 @@ class Morph(Film):
             Kernel mass relative to that of evenly spread particles; see
             `clmorph.analysis.metrics.hole_fraction`.
 
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> morph.coverage(0.5).shape
+        (6, 6)
         """
         return self.sums(t).coverage.astype(np.float32)
 

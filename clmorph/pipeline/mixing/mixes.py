@@ -169,7 +169,17 @@ class Mixes(Items[Frame]):
         return self._drawn(check_mix_weights(weights, len(self.images))[0])
 
     def morph(self, first: int, second: int) -> Morph:
-        """Return the morph between two of the images, by their numbers from 0."""
+        """Return the morph between two of the images, by their numbers from 0.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> images = np.zeros((2, 6, 6, 3))
+        >>> images[0, :, :3] = images[1, :3] = 1.0
+        >>> clmorph.mix(images, [1, 1], backend="numpy").morph(0, 1).frame(0.5).shape
+        (6, 6, 3)
+        """
         first = check_integer("first", first, 0, len(self.images) - 1)
         second = check_integer("second", second, 0, len(self.images) - 1)
         if (first, second) not in self._solved.morphs:
