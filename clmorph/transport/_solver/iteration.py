@@ -122,6 +122,8 @@ class Iteration:
     @functools.cached_property
     def histories(self) -> list[Array]:
         """The residuals of each problem after each of its iterations, once all have ended."""
+        if not self.problem.of_rows.shape:
+            return [np.array([residual for _, live, residual in self._records if live])]
         numbers, live, values = (np.hstack(each) for each in zip(*self._records, strict=True))
         numbers, values = numbers[live], values[live]
         order = np.argsort(numbers, kind="stable")

@@ -120,12 +120,8 @@ def pairs_of(rows: Batch, columns: Batch) -> TilePairs:
         return known[1]
     per_row = np.repeat(columns.tiles, rows.tiles)
     tiles = runs(np.repeat(columns.first_tiles, rows.tiles), per_row)
-    centers = rows.cloud.centers, columns.cloud.centers
-    if len(rows.tiles) == 1:
-        distances = center_costs(centers[0][:, None], centers[1]).ravel()
-    else:
-        row_of = np.repeat(np.arange(len(per_row)), per_row)
-        distances = center_costs(centers[0][row_of], centers[1][tiles])
+    row_of = np.repeat(np.arange(len(per_row)), per_row)
+    distances = center_costs(rows.cloud.centers[row_of], columns.cloud.centers[tiles])
     pairs = TilePairs(np.append(0, np.cumsum(per_row)), tiles.astype(np.uint32), distances)
     # Another cloud can have the address of one that is gone, hence the reference.
     rows.paired[id(columns.cloud)] = weakref.ref(columns.cloud), pairs

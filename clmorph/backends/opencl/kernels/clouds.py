@@ -156,7 +156,8 @@ def split(values: Float64) -> NDArray[np.float32]:
 
 def pad(values: Float64, length: int, filler: float) -> Float64:
     """Return values padded to `length` by `filler` at their end."""
-    return np.concatenate((values, np.full(length - len(values), filler)))
+    more = length - len(values)
+    return np.concatenate((values, np.full(more, filler))) if more else values
 
 
 def unsort(cloud: Cloud, values: NDArray[Any]) -> NDArray[Any]:

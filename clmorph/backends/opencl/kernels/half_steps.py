@@ -21,6 +21,7 @@ from clmorph.backends.opencl.kernels.resident_iteration import (
     in_turn,
 )
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop, work_of_pair
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
 from clmorph.backends.records import Float64
 
 #: The largest number of pairs of points, whose softmin is one launch of some tens of milliseconds,
@@ -117,22 +118,31 @@ class BatchIteration(DeviceIteration):
         corrections: tuple[Float64 | float, Float64 | float],
     ) -> None:  # fmt: skip
         rows, columns = clouds = batches[0].cloud, batches[1].cloud
-        low = np.min([cloud.box[0] for cloud in clouds], axis=0)
-        high = np.max([cloud.box[1] for cloud in clouds], axis=0)
-        offsets = sum(float(np.abs(cloud.offsets).max()) for cloud in clouds)
-        units = steps.units(0.5 * np.sum((high - low) ** 2) + offsets, weights[0].sum())
+        units = 1.0, 1.0
+        if steps.in_pairs:
+            low = np.min([cloud.box[0] for cloud in clouds], axis=0)
+            high = np.max([cloud.box[1] for cloud in clouds], axis=0)
+            offsets = sum(float(np.abs(cloud.offsets).max()) for cloud in clouds)
+            units = steps.units(0.5 * np.sum((high - low) ** 2) + offsets, weights[0].sum())
         super().__init__(steps, clouds, units, {})
         self.batches, self.listed = batches, listed
-        self.lists = pairs_of(*batches), pairs_of(*batches[::-1])
+        #: Costs between the centers of tiles, rows first and columns first, and the lists of many.
+        self.costs, self.lists = list[Float64](), list[TilePairs]()
+        if listed:
+            self.lists = [pairs_of(*batches), pairs_of(*batches[::-1])]
+            self.costs = [pairs.distances for pairs in self.lists]
+        else:
+            costs = center_costs(rows.centers[:, None], columns.centers)
+            self.costs = [costs.ravel(), costs.T.ravel()]
         constants, work = self.loop.constants, self.loop.work
         stacks = constants.stacks(rows.centers.shape[1], precise=False)
         given, most_shares = self.arguments, 0
         for name, own, other, pairs, own_weights, added in zip(
-            ("row", "column"), batches, batches[::-1], self.lists, weights, corrections,
-            strict=True,
+            ("row", "column"), batches, batches[::-1], self.lists or (None, None), weights,
+            corrections, strict=True,
         ):  # fmt: skip
             cloud, tiles = own.cloud, len(own.cloud.centers)
-            shares = self.loop.column_shares(cloud, other.cloud, pairs if listed else None, stacks)
+            shares = self.loop.column_shares(cloud, other.cloud, pairs, stacks)
             most_shares = max(most_shares, shares)
             given |= {
                 f"{name}s": self._vectors(name, own, own_weights, added),
@@ -145,7 +155,7 @@ class BatchIteration(DeviceIteration):
         count, longest = len(own.counts), max(rows.stride, columns.stride)
         n_bytes = {
             "maxima": 4 * most_shares * longest, "sums": 4 * most_shares * longest,
-            "logits": 8 * longest, "levels": 8 * len(self.lists[0].tiles),
+            "logits": 8 * longest, "levels": 8 * len(self.costs[0]),
             "start": 8 * columns.stride, "products": 8 * MEMORY**2 * count,
             "tile_max": 8 * max(len(cloud.centers) for cloud in clouds),
             "numbers": 8 * len(slots.NUMBERS) * count,
@@ -157,14 +167,17 @@ class BatchIteration(DeviceIteration):
         given |= {name: work.empty(size) for name, size in n_bytes.items()}
         given |= {name: np.uint32(number) for name, number in numbers.items()}
         given["radius"] = steps.real(0.0)
+        self._sequences: dict[tuple[bool, bool, int], list[Launch]] = {}
         self._keep(np.arange(count))
 
     def _vectors(self, name: str, own: Batch, weights: Float64, added: Float64 | float) -> Any:
         """Return the vectors of a side, of which the host gives the first."""
         cloud, (cost, mass) = own.cloud, self.units
-        within = runs(np.zeros_like(own.tiles), own.tiles * self.loop.constants.tile)
-        padded = within >= np.repeat(own.counts, own.tiles * self.loop.constants.tile)
-        masses = np.where(padded[: len(cloud)], 0.0, weights[cloud.order]) / mass
+        masses = weights[cloud.order] / mass
+        if self.listed:
+            tile = self.loop.constants.tile
+            within = runs(np.zeros_like(own.tiles), own.tiles * tile)
+            masses[within >= np.repeat(own.counts, own.tiles * tile)] = 0.0
         with np.errstate(divide="ignore"):
             logarithms = np.log(masses)
         # Costs of rows alone are added to their softmins, and to no logits.
@@ -196,19 +209,18 @@ class BatchIteration(DeviceIteration):
             self.table[:, slots.PROBLEM.index(name)] = values[problems]
         self.arguments["problems"] = work.buffer(self.table, np.uint32)
         self.arguments["n_listed"] = np.uint32(blocks.sum() if self.listed else 0)
-        for own, side, others, pairs in zip(
-            ("row", "column"), self.batches, self.batches[::-1], self.lists, strict=True
-        ):
-            distances = pairs.distances
+        for number, own in enumerate(("row", "column")):
+            costs = self.costs[number]
             if self.listed:
+                side, others, pairs = *self.batches[:: 1 - 2 * number], self.lists[number]
                 there = np.repeat(left, side.tiles)
                 kept = np.repeat(there, np.diff(pairs.starts))
                 per_tile = np.where(there, np.repeat(others.tiles, side.tiles), 0)
                 starts = np.append(0, np.cumsum(per_tile))
                 self.arguments[f"{own}_starts"] = work.buffer(starts, np.uint32)
                 self.arguments[f"{own}_listed"] = work.buffer(pairs.tiles[kept], np.uint32)
-                distances = distances[kept]
-            self.arguments[f"{own}_costs"] = self.steps.buffer(distances / self.units[0])
+                costs = costs[kept]
+            self.arguments[f"{own}_costs"] = self.steps.buffer(costs / self.units[0])
         self.n_pairs = 2 * int(blocks.sum()) * tile**2
         count = len(slots.NUMBERS)
         self.numbers = np.zeros((len(problems), count) if self.listed else count)
@@ -236,7 +248,13 @@ class BatchIteration(DeviceIteration):
         events.append(cl.enqueue_copy(self.loop.work.queue, buffer, table, is_blocking=False))
         return {}
 
-    def _launches(self, prepare: bool) -> Iterator[Launch]:
+    def _launches(self, prepare: bool) -> list[Launch]:
+        key = prepare, self.precise, self.version
+        if key not in self._sequences:
+            self._sequences = {key: list(self._sequence(prepare))}
+        return self._sequences[key]
+
+    def _sequence(self, prepare: bool) -> Iterator[Launch]:
         group, kernel = (self.loop.constants.step_group,), self._softmin_kernel()
         whole = (group[0] * len(self.table),)
         if prepare:

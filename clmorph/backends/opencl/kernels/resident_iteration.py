@@ -5,7 +5,7 @@ import math
 import time
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -20,6 +20,9 @@ from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import SOURCE, Float64, IterationNumbers, ProgramError, next_source
 
+#: The arguments that change in each iteration, see `DeviceIteration._tell`.
+TOLD = "control", "radius"
+
 
 class BoundKernels:
     """Kernels of their own, whose arguments, by name, stay set while an iteration goes on.
@@ -33,9 +36,12 @@ class BoundKernels:
     ) -> None:  # fmt: skip
         self.kernels, self.budget = kernels, budget
         self._places: dict[str, list[tuple[str, int]]] = {}
+        self._told: dict[str, list[tuple[str, int]]] = {}
         for kernel, names in arguments.items():
-            for number, name in enumerate(names):
+            places = list(enumerate(names))
+            for number, name in places:
                 self._places.setdefault(name, []).append((kernel, number))
+            self._told[kernel] = [(name, number) for number, name in places if name in TOLD]
         self._iteration: weakref.ref[DeviceIteration] | None = None
         self._epsilon, self._version = 0.0, 0
         self._scalars: dict[tuple[str, int], bytes] = {}
@@ -54,19 +60,28 @@ class BoundKernels:
                 self.set(name, value)
             self._epsilon = iteration.epsilon
 
-    def set(self, name: str, value: Any, of: str = "") -> None:
-        """Set an argument of all kernels that take it, or of one; a scalar where it has changed.
+    def set(self, name: str, value: Any) -> None:
+        """Set an argument of all kernels that take it."""
+        for place in self._places.get(name, ()):
+            self._set(place, value)
+
+    def tell(self, kernel: str, told: dict[str, Any]) -> None:
+        """Set arguments of one iteration alone."""
+        for name, number in self._told[kernel] if told else ():
+            self._set((kernel, number), told[name])
+
+    def _set(self, place: tuple[str, int], value: Any) -> None:
+        """Set an argument of a kernel; a scalar where it has changed.
 
         See `Workspace.launch`: Ctrl-C may come between any two of these steps.
         """
         scalar = value.tobytes() if isinstance(value, np.generic) else b""
-        for place in self._places.get(name, ()):
-            if (of and place[0] != of) or (scalar and self._scalars.get(place) == scalar):
-                continue
-            self._scalars.pop(place, None)
-            self.kernels[place[0]].set_arg(place[1], value)
-            if scalar:
-                self._scalars[place] = scalar
+        if scalar and self._scalars.get(place) == scalar:
+            return
+        self._scalars.pop(place, None)
+        self.kernels[place[0]].set_arg(place[1], value)
+        if scalar:
+            self._scalars[place] = scalar
 
 
 def as_pairs(values: Any) -> NDArray[np.float32]:
@@ -173,7 +188,7 @@ class DeviceIteration(ABC):
         """Return the kernels of the iteration."""
 
     @abstractmethod
-    def _launches(self, prepare: bool) -> Iterator[Launch]:
+    def _launches(self, prepare: bool) -> Iterable[Launch]:
         """Return the launches of an iteration; with `prepare` the first softmin is prepared."""
 
     @abstractmethod
@@ -228,15 +243,14 @@ class DeviceIteration(ABC):
         check_cancelled()
         queue, bound = self.loop.work.queue, self._kernels()
         bound.bind(self)
-        prepare = bool(np.any(self.prepared != control & SOURCE))
+        prepare = bool(np.asarray(self.prepared != control & SOURCE).any())
         self.prepared, events = -1, list[cl.Event]()
         launched, began = list[tuple[cl.Kernel, cl.Event]](), time.perf_counter()
         try:
             told = self._tell(control, radius, events)
             for name, size, group in self._launches(prepare):
                 # To set a scalar takes 16 microseconds, in which the kernel before runs.
-                for argument, value in told.items():
-                    bound.set(argument, value, of=name)
+                bound.tell(name, told)
                 kernel, before = bound.kernels[name], events[-1:]
                 events.append(
                     cl.enqueue_nd_range_kernel(queue, kernel, size, group, wait_for=before)

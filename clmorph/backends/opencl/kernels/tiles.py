@@ -36,9 +36,10 @@ def tile_order(
         scale = np.zeros(len(counts))
         np.divide(2**PLACE_BITS - 1, side, out=scale, where=side > 1e-290)
         # A cloud that is done keeps its order, which is then that of this cloud alone.
-        segments = np.searchsorted(starts, firsts)
-        left = np.maximum.reduceat(units, segments) > 1
-        scale *= np.repeat(left, np.diff(np.append(segments, len(starts))))
+        if len(firsts) > 1:
+            segments = np.searchsorted(starts, firsts)
+            left = np.maximum.reduceat(units, segments) > 1
+            scale *= np.repeat(left, np.diff(np.append(segments, len(starts))))
         places = columns.ravel().take(np.repeat(axis * count, counts) + everyone)
         places -= np.repeat(low[axis, number], counts)
         places *= np.repeat(scale, counts)
