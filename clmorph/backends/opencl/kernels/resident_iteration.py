@@ -67,7 +67,7 @@ class BoundKernels:
 
     def tell(self, kernel: str, told: dict[str, Any]) -> None:
         """Set arguments of one iteration alone."""
-        for name, number in self._told[kernel] if told else ():
+        for name, number in self._told.get(kernel, ()) if told else ():
             self._set((kernel, number), told[name])
 
     def _set(self, place: tuple[str, int], value: Any) -> None:
