@@ -359,9 +359,8 @@ class TestMemory:
             pytest.param(64, 0.03, {}, 3, "particles", marks=pytest.mark.full),
             (64, 0.03, {}, 3, "layers"),
             pytest.param(64, 0.015, {}, 3, "particles", marks=pytest.mark.full),
-            pytest.param(96, 0.012, {}, 3, "particles", marks=pytest.mark.full),
-            pytest.param(96, 0.03, {"sample": 16}, 3, "particles", marks=pytest.mark.full),
-            pytest.param(96, 0.03, {"barycentric": True}, 3, "particles", marks=pytest.mark.full),
+            pytest.param(64, 0.03, {"sample": 16}, 3, "particles", marks=pytest.mark.full),
+            pytest.param(64, 0.03, {"barycentric": True}, 3, "particles", marks=pytest.mark.full),
             pytest.param(64, 0.015, {}, 4, "particles", marks=pytest.mark.full),
             pytest.param(64, 0.015, {}, 4, "layers", marks=pytest.mark.full),
         ],
@@ -421,8 +420,8 @@ RUNS = {
     "large": ("large.png", "b.png", "--frames", "5"),
     "draft": ("a.png", "b.png", "--draft"),
     "chain": ("a.png", "b.png", "a.png", "--frames", "3"),
-    "numpy": ("a.png", "b.png", "--size", "48", "--frames", "3", "--backend", "numpy"),
-    "1024": ("large.png", "large.png", "--size", "1024", "--frames", "5"),
+    "numpy": ("a.png", "b.png", "--size", "32", "--frames", "2", "--backend", "numpy"),
+    "1024": ("large.png", "large.png", "--size", "1024", "--frames", "2"),
 }
 
 

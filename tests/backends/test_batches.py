@@ -72,7 +72,7 @@ def test_the_twin_does_what_single_problems_do(rng):
 
 
 @pytest.mark.in_turns  # each dimension is a build of its own
-@pytest.mark.parametrize("dimension", range(1, 12))
+@pytest.mark.parametrize("dimension", [1, 3, 6, 8, 10])  # others: `test_operations.py`
 def test_in_any_dimension(variant, dimension):
     for kind in ((False, False, 0), (False, True, 0), (True, True, 0), (True, True, 1)):
         assert first_failure(variant, Variant("log_sum_exp.cl", dimension, *kind)) == ""

@@ -101,7 +101,7 @@ def test_bounded_softmin_is_as_near_as_it_says(variant, rng, name, blur):
 
 
 @pytest.mark.in_turns  # a build for each dimension takes half a minute on some devices
-@pytest.mark.parametrize("dimension", range(1, 12))
+@pytest.mark.parametrize("dimension", [1, 2, 4, 7, 9, 11])
 def test_bounded_softmin_in_any_dimension_and_over_near_pairs(variant, rng, dimension):
     pair = [(rng.random((n, dimension)), rng.random(n) ** 30) for n in (100, 150)]
     for cloud in pair:
@@ -460,7 +460,7 @@ SPLATS = {
     "one": lambda rng: np.array([[17.25, 3.5]]),
     "on pixels": lambda rng: rng.integers(0, 40, (500, 2)),
     "on bin edges": lambda rng: 8.0 * rng.integers(-1, 6, (200, 2)),
-    "all in one place": lambda rng: np.full((5000, 2), 11.3),
+    "all in one place": lambda rng: np.full((1500, 2), 11.3),  # more than are summed at once
     "outside": lambda rng: rng.uniform(-200, 200, (2000, 2)),
     "far outside": lambda rng: rng.uniform(-1e9, 1e9, (300, 2)),
 }

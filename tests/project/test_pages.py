@@ -135,6 +135,13 @@ def write_pictures(longer=None):
     clip.close()
 
 
+def set_limits(monkeypatch):
+    """Let photographs have these limits."""
+    for name, limit in LIMITS.items():
+        assert limit < getattr(MorphOptions(), name)
+        monkeypatch.setitem(PRESETS["photo"].options, name, limit)
+
+
 @pytest.fixture
 def ways(monkeypatch):
     """How plans are made: pixels of a block, and draws in place of all pairs."""
@@ -308,9 +315,7 @@ def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
     monkeypatch.chdir(tmp_path)
     # Larger than the limits, and small where every pixel is moved.
     write_pictures(128)
-    for name, limit in LIMITS.items():
-        assert limit < getattr(MorphOptions(), name)
-        monkeypatch.setitem(PRESETS["photo"].options, name, limit)
+    set_limits(monkeypatch)
     for line in OURS[page]:
         command = shlex.split(line, comments=True)[1:]
         if command[0] in ("devices", "check") and not TESTED:
@@ -512,6 +517,7 @@ LEFT = {
 def test_python(page, tmp_path, monkeypatch):
     """All blocks of a page in order, in one namespace; nothing of them warns."""
     monkeypatch.chdir(tmp_path)
+    set_limits(monkeypatch)
     write_pictures(64)
     python = [(heading, text) for other, heading, kind, text in BLOCKS
               if (other, kind) == (page, "python")]  # fmt: skip
