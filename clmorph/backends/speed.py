@@ -1,4 +1,4 @@
-"""How much more a device sums in the time in which a processor sums a softmin."""
+"""How many times faster than a processor a device sums pairs of points."""
 
 import math
 
@@ -7,9 +7,9 @@ USUAL_RATE = 5e9
 
 
 def speed_factor(on_processor: bool, pairs_per_second: float) -> int:
-    """Return 1, or 8 or 64 for devices that are so many times faster than a processor.
+    """Return how many times faster than a processor a device sums, in steps: 1, 8 or 64.
 
-    The steps are wide, so that a repeated measurement of the device rarely changes it.
+    The steps are wide, so that a repeated measurement of the device rarely changes the result.
     """
     if on_processor or pairs_per_second <= USUAL_RATE:
         return 1

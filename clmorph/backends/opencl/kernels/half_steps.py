@@ -24,9 +24,9 @@ from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop, work_of_pa
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
 from clmorph.backends.records import Float64
 
-#: The largest number of pairs of points, whose softmin is one launch of some tens of milliseconds,
-#: and this number for each unit of the `speed_factor` of fast devices. One work-group takes the
-#: vectors there, and still needs less time than the host.
+#: The largest number of pairs of points of a problem: one launch sums them in some tens of
+#: milliseconds. A device whose `speed_factor` is above 1 takes the second number, multiplied by it.
+#: One work-group computes between the sums there, and still needs less time than the host.
 MOST_PAIRS, MOST_OF_FAST = 1 << 25, 1 << 27
 #: The largest number of pairs of tiles.
 MOST_LEVELS = 1 << 21
