@@ -29,7 +29,7 @@ def devices_of(device: str, workers: int | None) -> list[str]:
     if device not in ("auto", "opencl") or named:
         found = [device]
     else:
-        from clmorph.backends.opencl.devices.physical import physical_devices
+        from clmorph.backends.opencl.devices.find import physical_devices
 
         found = [each.index for each in physical_devices()] or [device]
     return [found[number % len(found)] for number in range(workers or len(found))]

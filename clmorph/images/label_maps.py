@@ -149,13 +149,13 @@ def read_labels(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
 
 def _samples(file: Path, max_pixels: int) -> Any:
     """Return the samples of a file as they stand there."""
-    from clmorph.images.reading import tiff, tiff_layout
+    from clmorph.images.reading import tiff
     from clmorph.images.reading.opening import Reader, open_picture
 
     if file.suffix.lower() == ".npy":
         return read_npy(file, max_pixels)
     with Reader(file) as stream:
-        if stream.read(4) in tiff_layout.SIGNATURES:
+        if stream.read(4) in tiff.SIGNATURES:
             # Labels have no light, so their numbers may be signed.
             samples = tiff.read_tiff(file, max_pixels, signed=True).samples
             if samples.shape[2] in (2, 4):

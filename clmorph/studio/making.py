@@ -1,5 +1,7 @@
 """Make what the page asks for, by the same steps as the command line: films, pictures, sheets."""
 
+import base64
+import io
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -8,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from clmorph._shared.files import atomic_path
 from clmorph._shared.progress import StageProgress
@@ -28,7 +31,6 @@ from clmorph.pipeline.presets import DRAFT_TOL
 from clmorph.pipeline.rearrange import arranged
 from clmorph.pipeline.recolor import recolored
 from clmorph.pipeline.result import Morph, keep_frames
-from clmorph.studio.overlays import CREATED, DESTROYED, tinted, unmatched_shares
 
 #: Largest number of blocks and of particles of a preview.
 BLOCKS, PARTICLES = 48, 40_000
@@ -36,10 +38,14 @@ BLOCKS, PARTICLES = 48, 40_000
 #: rearrangement; size of mixes; and the longer sides of both pictures where one is recolored.
 MORPH_STEPS, REARRANGE_STEPS = ((40, 5), (96, 12)), ((32, 6), (64, 16))
 MIX_STEPS, RECOLOR_SIDES = (24, 48), (320, 128)
-
-
 #: Largest number of bytes of the frames of a film that are kept in memory.
 MOST_KEPT = 1 << 30
+#: Colors of destroyed and of created mass, and the opacity where all mass is such.
+DESTROYED, CREATED, OPACITY = (255, 80, 0), (0, 130, 255), 0.85
+#: Longest side of these pictures, pixels.
+LONGEST = 256
+#: Shares below this are rounding.
+LEAST = 1e-3
 
 
 class Made(ABC):
@@ -251,3 +257,39 @@ def _quick(options: MorphOptions, size: int) -> dict[str, Any]:
         "tol": max(options.tol, DRAFT_TOL),
         "max_particles": _least(options.max_particles, PARTICLES),
     }  # fmt: skip
+
+
+def unmatched_shares(morph: FrameSequence) -> tuple[Array, Array]:
+    """Return the shares in [0, 1] of each pixel's mass that is destroyed, and created.
+
+    Destroyed is 1 - (pi 1)_i / a_i at each pixel (H, W) of the first picture, 0 without mass;
+    created (H', W') is the same for the columns of the plan and the second picture.
+    """
+    found = []
+    rho = morph.potentials.rho
+    sides = zip(
+        (morph.source, morph.target), morph.plan.marginals,
+        rho if isinstance(rho, tuple) else (rho, rho), strict=True,
+    )  # fmt: skip
+    for measure, moved, penalty in sides:
+        if np.isinf(penalty):  # differences are residuals
+            found.append(np.zeros(measure.shape))
+            continue
+        share = 1.0 - np.divide(
+            moved, measure.weights, out=np.ones(len(measure)), where=measure.weights > 0
+        )
+        found.append(np.where(share > LEAST, np.clip(share, 0.0, 1.0), 0.0).reshape(measure.shape))
+    return found[0], found[1]
+
+
+def tinted(share: Array, color: tuple[int, int, int]) -> str:
+    """Return a picture in one color, whose opacity is the share, as the address of its data."""
+    pixels: Any = np.empty((*share.shape, 4), np.uint8)
+    pixels[..., :3] = color
+    pixels[..., 3] = np.rint(255 * OPACITY * share)
+    image = Image.fromarray(pixels)
+    if max(image.size) > LONGEST:
+        image.thumbnail((LONGEST, LONGEST))
+    file = io.BytesIO()
+    image.save(file, "PNG")
+    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode("ascii")

@@ -6,7 +6,7 @@ from clouds import column_masks
 
 import clmorph
 from clmorph.backends.numpy import NumPyOperations
-from clmorph.backends.opencl import column_rates, probe
+from clmorph.backends.opencl import probe
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.devices import verdicts
@@ -158,8 +158,8 @@ def test_bounds_over_rows_change_no_mask(device, monkeypatch, bounds):
 def test_tiles_are_whole_where_that_is_faster(monkeypatch, seconds, eighths):
     """From the seconds of an eighth of the columns, of five and of all."""
     taken = dict(zip((1, 5, 8), seconds, strict=True))
-    monkeypatch.setattr(column_rates, "_chosen_seconds", lambda _, points, chosen: taken[chosen])
-    assert column_rates.many_eighths(None, 1e9) == eighths
+    monkeypatch.setattr(probe, "_chosen_seconds", lambda _, points, chosen: taken[chosen])
+    assert probe.many_eighths(None, 1e9) == eighths
 
 
 def test_rates_of_chosen_columns_are_measured(device, monkeypatch):
@@ -167,7 +167,7 @@ def test_rates_of_chosen_columns_are_measured(device, monkeypatch):
     with monkeypatch.context() as patch:
         sums, right = [], device.softmin
         patch.setattr(device, "softmin", lambda *a: sums.append(right(*a)))
-        assert all(column_rates._chosen_seconds(device, 512, eighths) > 0 for eighths in (1, 8))
+        assert all(probe._chosen_seconds(device, 512, eighths) > 0 for eighths in (1, 8))
     assert np.all(sums[0] > sums[-1])  # the more columns, the less the soft minimum
 
     def pairs(eighths):

@@ -7,11 +7,10 @@ from clouds import PAIRS
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels import candidates, tile_bounds
-from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS
+from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS, TileFits
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E
 from clmorph.backends.opencl.kernels.tile_bounds import TileLists, all_tiles
-from clmorph.backends.opencl.kernels.tile_fits import TileFits
 from clmorph.backends.opencl.kernels.tile_pairs import column_bounds, row_bounds
 
 #: Clouds in five dimensions, and in others.

@@ -611,8 +611,7 @@ refused()
 
 @pytest.mark.needs_device
 def test_drivers_of_one_processor_are_one_device(monkeypatch):
-    from clmorph.backends.opencl.devices.find import choose_device
-    from clmorph.backends.opencl.devices.physical import physical_devices
+    from clmorph.backends.opencl.devices.find import choose_device, physical_devices
 
     for name in ("CLMORPH_DEVICE", "PYOPENCL_CTX"):
         monkeypatch.delenv(name, raising=False)

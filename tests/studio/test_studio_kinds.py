@@ -10,7 +10,7 @@ from PIL import Image
 from studio_pages import fetched, fill, frame, previewed, run, same_by, take, until
 
 import clmorph
-from clmorph.studio.overlays import unmatched_shares
+from clmorph.studio.making import unmatched_shares
 from clmorph.studio.painting import LEVEL, read_painted
 
 

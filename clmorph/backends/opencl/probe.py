@@ -8,25 +8,30 @@ import threading
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pyopencl as cl
 
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
 from clmorph.backends.opencl.build.programs import program_key, read_request
 from clmorph.backends.opencl.build.variants import Variant, further_variants, usual_variants
-from clmorph.backends.opencl.column_rates import many_eighths
 from clmorph.backends.opencl.devices.find import raw_devices
-from clmorph.backends.opencl.devices.throughput import throughput
+from clmorph.backends.opencl.devices.throughput import FEW_POINTS, seconds_of, throughput
 from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, FURTHER, LOADED, VERDICT
 from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, SLOW_FLOAT64, condemns, failed
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
 from clmorph.backends.opencl.verification.findings import words_of
 from clmorph.backends.opencl.verification.table import first_failure
+from clmorph.backends.records import NearPairs
 from clmorph.errors import ClmorphError
 
 #: The number of points of the timed log-sum-exp, small enough for any device.
 TIMED_POINTS = 2048
 #: By which factor pairs of float32 must be faster than float64 to replace it: not by noise.
 FASTER = 1.2
+#: Points of the timed sums over chosen columns, if all their pairs take fewer seconds than the
+#: longest run, and sums of each kind, of which the fastest counts.
+CHOSEN_POINTS, LONGEST_RUN, RUNS = 8192, 0.1, 5
 #: Error codes of a driver whose resources are in use by this process or another one.
 PASSING = (
     cl.status_code.DEVICE_NOT_AVAILABLE,
@@ -100,6 +105,38 @@ def precise_rate(device: cl.Device, constants: BuildConstants) -> float:
     """Return point pairs per second in sums with precise exponents."""
     operations = OpenCLOperations(device, constants, verify=False, profiled=True)
     return throughput(operations, TIMED_POINTS, precise=True)
+
+
+def many_eighths(operations: OpenCLOperations, rate: float) -> int:
+    """Return from how many eighths of its columns on a whole tile is summed faster, by `rate`."""
+    points = CHOSEN_POINTS if rate * LONGEST_RUN > CHOSEN_POINTS**2 else FEW_POINTS
+    few, more, whole = (_chosen_seconds(operations, points, eighths) for eighths in (1, 5, 8))
+    each = (more - few) / 4
+    return int(np.clip(1 + (whole - few) / each, 1, 8)) if each > 0 else 8
+
+
+def _chosen_seconds(operations: OpenCLOperations, points: int, eighths: int) -> float:
+    """Return the seconds of sums over so many eighths of the columns of each tile."""
+    tile, rng = operations.constants.tile, np.random.default_rng(0)
+    cloud = operations.upload(rng.random((points, 5)), np.full(points, 1 / points))
+    n = len(cloud.centers)
+    chosen = rng.random((n * n, tile // operations.constants.group_rows, tile)).argsort(axis=-1)
+    bits = np.packbits(8 * chosen < eighths * tile, axis=-1, bitorder="little")
+    bits = np.pad(bits, ((0, 0), (0, 0), (0, -bits.shape[-1] % 8)))
+    masks = operations.work.buffer(bits.view(np.uint64), np.uint64)
+    starts = n * np.arange(n + 1)
+    pairs = TilePairs(
+        starts, np.tile(np.arange(n, dtype=np.uint32), n),
+        center_costs(cloud.centers[:, None], cloud.centers).ravel(), [(range(n), masks)],
+        starts * tile**2,
+    )  # fmt: skip
+    near = NearPairs(pairs, np.zeros(points), np.zeros(points), points**2, points, 0.0)
+
+    def run() -> None:
+        operations.softmin(cloud, cloud, np.zeros(points), 0.01, False, near)
+
+    run()
+    return min(seconds_of(operations, run) for _ in range(RUNS))
 
 
 def _check(operations: OpenCLOperations, variant: Variant) -> tuple[str, bool]:

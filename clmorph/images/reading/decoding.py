@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import AnyArray
-from clmorph.images.reading import tiff, tiff_layout
+from clmorph.images.reading import tiff
 from clmorph.images.reading.deep import (
     GRAY_16,
     divided,
@@ -30,7 +30,7 @@ Decoded = tuple[AnyArray, list[str]]
 def decode(file: Path, max_pixels: int) -> Decoded:
     """Decode the first picture to sRGB that `as_pixels` takes; notes continue "<file> has"."""
     with Reader(file) as stream:
-        if stream.read(4) in tiff_layout.SIGNATURES:
+        if stream.read(4) in tiff.SIGNATURES:
             return _decode_tiff(file, max_pixels)
         picture = open_picture(file, stream, max_pixels)
         with picture:

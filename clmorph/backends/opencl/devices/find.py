@@ -4,10 +4,9 @@ import itertools
 import os
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from clmorph.backends.opencl.devices.device import Device as Device
-from clmorph.backends.opencl.devices.device import describe, is_meant, names_of, preference
 from clmorph.backends.opencl.devices.install_hints import advice
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.backends.opencl.devices.runtimes import list_platforms
@@ -28,6 +27,116 @@ if TYPE_CHECKING:
 
 #: The least ratio of recorded speeds that changes the order of devices.
 LEAST_RATIO = 1.2
+#: Parts of the names of platforms whose CPU devices come before and after all others, by the
+#: measured speed of morphs: first to last.
+_FAST_CPU_PLATFORMS = "intel", "portable computing language"
+_SLOW_CPU_PLATFORMS = "rusticl", "pocl 3.0-rc2"
+
+
+@dataclass(frozen=True)
+class Device:
+    """An OpenCL device, its properties, and whether it works."""
+
+    #: Index "platform:device", as counted in this process.
+    index: str
+    name: str
+    platform: str
+    version: str
+    driver: str
+    #: "GPU", "CPU" or "accelerator".
+    kind: str
+    compute_units: int
+    #: Bytes of global memory.
+    memory: int
+    #: Whether the project's kernels were built on it and computed what NumPy does.
+    usable: bool
+    #: The reason why the device is not usable; empty if it is.
+    reason: str
+    #: Point pairs per second in the log-sum-exp, as measured by the probe; 0 if unknown.
+    pairs_per_second: float
+    handle: "cl.Device"
+
+    def __str__(self) -> str:
+        state = "" if self.usable else f", unusable: {self.reason}"
+        return f"[{self.index}] {self.name} ({self.platform}, driver {self.driver}{state})"
+
+    def record(self) -> dict[str, Any]:
+        """Return the properties of the device as values that JSON can represent."""
+        from clmorph.backends.opencl.devices.quirks import find_quirks, has_float64
+
+        known = {name: value for name, value in vars(self).items() if name != "handle"}
+        return known | {
+            "float64": has_float64(self.handle),
+            "max_work_group_size": self.handle.max_work_group_size,
+            "local_memory": self.handle.local_mem_size,
+            "largest_buffer": self.handle.max_mem_alloc_size,
+            "quirks": sorted(find_quirks(self.handle)),
+        }
+
+    def matches(self, text: str) -> bool:
+        """Return whether `text` is this device's index or part of its or its platform's name."""
+        return is_meant(text, self.index, f"{self.name} {self.platform} {self.version}")
+
+    @property
+    def computes_wrongly(self) -> bool:
+        """Whether the device is unusable because of a wrong result, and not for a crash."""
+        return self.reason.startswith(WRONG)
+
+
+def is_meant(text: str, index: str, names: str) -> bool:
+    """Return whether a text is an index, or part of names."""
+    return text == index or text.lower() in names.lower()
+
+
+def describe(index: str, device: "cl.Device", verdict: dict[str, Any]) -> Device:
+    """Return a device with its properties and its verdict."""
+    import pyopencl as cl
+
+    kind = "accelerator"
+    if device.type & cl.device_type.GPU:
+        kind = "GPU"
+    elif device.type & cl.device_type.CPU:
+        kind = "CPU"
+    return Device(
+        index=index,
+        name=" ".join(device.name.split()),
+        platform=device.platform.name.strip(),
+        version=device.platform.version.strip(),
+        driver=device.driver_version.strip(),
+        kind=kind,
+        compute_units=device.max_compute_units,
+        memory=device.global_mem_size,
+        usable=bool(verdict["usable"]),
+        reason=str(verdict["reason"]),
+        pairs_per_second=float(verdict["pairs_per_second"]),
+        handle=device,
+    )
+
+
+def preference(handle: "cl.Device") -> tuple[int, int, int, int]:
+    """Return a key for the choice: GPUs, others, CPUs; own memory, fast runtimes, lanes * clock."""
+    import pyopencl as cl
+
+    from clmorph.backends.opencl.devices.quirks import shares_host_memory
+
+    lanes = handle.max_compute_units * max(1, handle.native_vector_width_float)
+    power = -lanes * handle.max_clock_frequency
+    if handle.type & cl.device_type.GPU:
+        return 0, int(shares_host_memory(handle)), 0, power
+    if not handle.type & cl.device_type.CPU:
+        return 1, 0, 0, power
+    platform = f"{handle.platform.name} {handle.platform.version}".lower()
+    fast, slow = _FAST_CPU_PLATFORMS, _SLOW_CPU_PLATFORMS
+    rank = next((rank for rank, name in enumerate(fast) if name in platform), len(fast))
+    if any(name in platform for name in slow):
+        rank += 1
+    return 2, 0, rank, power
+
+
+def names_of(handle: "cl.Device") -> str:
+    """Return the names by parts of which a device is chosen."""
+    name = " ".join(handle.name.split())
+    return f"{name} {handle.platform.name.strip()} {handle.platform.version.strip()}"
 
 
 @Once
@@ -204,3 +313,48 @@ def _installation_hint(devices: tuple[Device, ...]) -> str:
     if any("Intel" in device.platform for device in devices):
         return "update the drivers (clmorph devices --again), or use the backend 'numpy'"
     return f"{advice()[0]}; or use the backend 'numpy' (clmorph devices tells more)"
+
+
+def physical_devices() -> tuple[Device, ...]:
+    """Return one usable device for each piece of hardware, in the order of "auto"."""
+    found: dict[Any, Device] = {}
+    numbers: dict[tuple[str, str], int] = {}
+    for index, handle in in_order(raw_devices()):
+        name = " ".join(handle.name.split())
+        same = handle.platform.name, name
+        numbers[same] = numbers.get(same, -1) + 1
+        hardware = hardware_of(handle, name, numbers[same])
+        if hardware in found:
+            continue
+        device = tried(index)
+        if device.usable:
+            found[hardware] = device
+    return tuple(found.values())
+
+
+def hardware_of(handle: "cl.Device", name: str, number: int) -> tuple[Any, ...]:
+    """Return a key of the hardware; `number` counts its platform's devices of this name."""
+    import pyopencl as cl
+
+    if handle.type & cl.device_type.CPU:
+        return ("CPU",)
+    bus = _ask(handle, "pci_bus_info_khr")
+    if bus is not None:
+        places = (bus.pci_domain, bus.pci_bus, bus.pci_device, bus.pci_function)
+        return ("bus", *map(int, places))
+    on_bus = [_ask(handle, f"pci_{part}_id_nv") for part in ("domain", "bus", "slot")]
+    if on_bus[1] is not None:
+        slot = int(on_bus[2] or 0)  # eight functions a device
+        return ("bus", int(on_bus[0] or 0), int(on_bus[1]), slot >> 3, slot & 7)
+    uuid = _ask(handle, "uuid_khr")
+    if uuid is not None:
+        return ("uuid", bytes(uuid))
+    return ("name", name, number)
+
+
+def _ask(handle: "cl.Device", what: str) -> Any:
+    """Return a property of a device; None if its driver does not know it."""
+    try:
+        return getattr(handle, what)
+    except Exception:  # drivers raise errors of several classes
+        return None

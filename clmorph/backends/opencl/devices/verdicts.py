@@ -19,7 +19,7 @@ WRONG = "wrong result of "
 OPTIONAL = ("half_steps.cl", "sparse_half_steps.cl")
 #: The entry of a verdict on a device that is slower in float64 than in pairs of float32.
 SLOW_FLOAT64 = "slow_float64"
-#: The entry with the result of `column_rates.many_eighths`, and its value on CPUs, where it is not
+#: The entry with the result of `probe.many_eighths`, and its value on CPUs, where it is not
 #: measured.
 MANY_EIGHTHS, USUAL_EIGHTHS = "many_eighths", 5
 #: What the reason of a verdict begins with if the driver ended the process of the check.
