@@ -64,7 +64,7 @@ def get_backend(backend: Backend = "auto") -> Operations:
     if is_of_pyopencl(backend):
         from clmorph.backends.opencl.host_program import operations_in
 
-        return operations_in(backend)
+        return cast(Operations, operations_in(backend))
     if not isinstance(backend, str):
         if hasattr(backend, "softmin") and not isinstance(backend, type):
             return cast(Operations, backend)
@@ -122,4 +122,4 @@ def _named_backend(name: str, pyopencl_ctx: str, refusals: int) -> Operations:
     handle = choose_device(name).handle
     from clmorph.backends.opencl.host_program import opened
 
-    return opened(handle)
+    return cast(Operations, opened(handle))

@@ -141,9 +141,10 @@ def test_a_tolerance_below_rounding_is_answered_so(device, precision, tol):
 
 def test_no_float64_is_a_build_option(device):
     constants = choose_constants(device.device, frozenset({"no_float64"}))
-    assert constants.row_macros(5, True)["PRECISE"] == 1
-    assert replace(constants, precise=2).row_macros(5, True)["PRECISE"] == 2
-    assert constants.row_macros(5, False)["PRECISE"] == 0
+    precise = Variant("log_sum_exp.cl", 5, precise=True)
+    assert precise.macros(constants)["PRECISE"] == 1
+    assert precise.macros(replace(constants, precise=2))["PRECISE"] == 2
+    assert Variant("log_sum_exp.cl", 5).macros(constants)["PRECISE"] == 0
     assert not OpenCLOperations(device.device, constants).has_float64
 
 

@@ -20,6 +20,7 @@ from clmorph import DeviceError, InputError
 from clmorph._shared.staging import own_prefix
 from clmorph.backends.opencl import probe
 from clmorph.backends.opencl.build import program
+from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import process, runtimes, trial, verdicts
@@ -387,7 +388,8 @@ def test_pyopencls_own_cache_may_fail(device, monkeypatch):
         return real(built, name)
 
     monkeypatch.setattr(cl, "_PYOPENCL_NO_CACHE", False)
-    built = program.build(device.context, "log_sum_exp.cl", device.constants.row_macros(5))
+    macros = Variant("log_sum_exp.cl", 5).macros(device.constants)
+    built = program.build(device.context, "log_sum_exp.cl", macros)
     monkeypatch.setattr(cl, "Kernel", fails)
     assert program.kernel(built, "log_sum_exp").function_name == "log_sum_exp"
     assert made[0] == "log_sum_exp"
@@ -419,7 +421,8 @@ def test_no_warning_filter_changes(device, monkeypatch):
     colors.from_space(far, "lab")  # what is imported for it is not ours
     with monkeypatch.context() as patch:
         patch.setattr(warnings, "catch_warnings", spy)
-        program.build(device.context, "log_sum_exp.cl", device.constants.row_macros(5))
+        macros = Variant("log_sum_exp.cl", 5).macros(device.constants)
+        program.build(device.context, "log_sum_exp.cl", macros)
         for space in colors.COLOR_SPACES:
             assert np.isfinite(colors.from_space(far, space)).all()
     assert entered == []

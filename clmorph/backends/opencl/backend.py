@@ -2,10 +2,11 @@
 
 import functools
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import pyopencl as cl
 
+from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.tuned_record import tuned_constants
@@ -37,6 +38,8 @@ from clmorph.errors import DeviceError
 
 P = ParamSpec("P")
 T = TypeVar("T")
+#: The names of all operations.
+OPERATIONS = frozenset(name for name in vars(Operations) if not name.startswith("_"))
 
 
 class OpenCLOperations:
@@ -88,57 +91,28 @@ class OpenCLOperations:
 
     def _bind(self) -> None:
         """Create the parts, and make their methods the operations of this object."""
-        loop = self.row_loop = RowLoop(self.work, self.constants, self.programs)
-        log_sum_exp = LogSumExp(loop)
-        near_field = NearField(loop, log_sum_exp)
-        batches = BatchStore(loop)
-        plan_rows, plan_shares = PlanRowReductions(loop), PlanShares(loop)
-        projection = BarycentricProjection(loop)
-        self.plan_row_reductions = plan_rows
-        stored = SlicedEllpack(loop, plan_rows)
-        splatting = self.splatting = Splatting(self.work, self.constants, self.programs)
-
-        layers = Layers(self.work, self.constants, self.programs)
-        seeds = NearestSeeds(self.work, self.constants, self.programs)
-        tables = ColorTable(self.work, self.programs)
-        grids = GridLogSumExp(self.work, self.constants, self.programs)
-
-        take_turns = self._take_turns
+        take_turns, shared = self._take_turns, (self.work, self.constants, self.programs)
         factor = speed_factor(self.on_processor, self.pairs_per_second)
-        self.upload = CloudStore(self.work, self.constants, take_turns).upload
-        self.softmin = take_turns(log_sum_exp.softmin)
-        self.bounded_softmin = take_turns(log_sum_exp.bounded_softmin)
-        self.row_maxima = take_turns(log_sum_exp.row_maxima)
-        self.grid_log_sum_exp = take_turns(grids.grid_log_sum_exp)
-        self.start_iteration = take_turns(HalfSteps(loop, take_turns, factor).start_iteration)
-        self.upload_batch = take_turns(batches.upload_batch)
-        self.take_batch = take_turns(batches.take_batch)
-        self.near_pairs = take_turns(near_field.near_pairs)
-        self.count_plan_rows = take_turns(plan_rows.count_plan_rows)
-        self.plan_rows = take_turns(plan_rows.plan_rows)
-        self.barycentric_projection = take_turns(projection.barycentric_projection)
-        self.plan_moments = take_turns(plan_shares.plan_moments)
-        self.sample_plan_rows = take_turns(plan_shares.sample_plan_rows)
-        self.store_pairs = take_turns(stored.store_pairs)
-        self.sum_stored = take_turns(stored.sum_stored)
+        loop = self.row_loop = RowLoop(*shared)
+        log_sum_exp, plan_rows = LogSumExp(loop), PlanRowReductions(loop)
+        self.plan_row_reductions, self.splatting = plan_rows, Splatting(*shared)
         self.stored_steps = StoredSteps(loop, take_turns)
-        self.start_stored_iteration = take_turns(self.stored_steps.start_stored_iteration)
-        self.upload_particles = take_turns(splatting.upload_particles)
-        self.upload_splats = take_turns(splatting.upload_splats)
-        self.edge_preserving_mean = take_turns(layers.edge_preserving_mean)
-        self.follow_paths = take_turns(layers.follow_paths)
-        self.upload_spline = take_turns(layers.upload_spline)
-        self.upload_layer = take_turns(layers.upload_layer)
-        self.draw_layers = take_turns(layers.draw_layers)
-        self.advect = take_turns(splatting.advect)
-        self.deposit = take_turns(splatting.deposit)
-        self.adapt_widths = take_turns(splatting.adapt_widths)
-        self.width_levels = take_turns(splatting.width_levels)
-        self.bin_splats = take_turns(splatting.bin_splats)
-        self.splat = take_turns(splatting.splat)
-        self.nearest_seeds = take_turns(seeds.nearest_seeds)
-        self.upload_table = take_turns(tables.upload_table)
-        self.apply_table = take_turns(tables.apply_table)
+        parts = (
+            log_sum_exp, plan_rows, self.splatting, self.stored_steps, BatchStore(loop),
+            NearField(loop, log_sum_exp), PlanShares(loop), BarycentricProjection(loop),
+            SlicedEllpack(loop, plan_rows), HalfSteps(loop, take_turns, factor), Layers(*shared),
+            NearestSeeds(*shared), ColorTable(self.work, self.programs), GridLogSumExp(*shared),
+        )  # fmt: skip
+        for part in parts:
+            for name in OPERATIONS.intersection(vars(type(part))):
+                setattr(self, name, take_turns(getattr(part, name)))
+        # It takes turns by itself, when the points are sorted.
+        self.upload = CloudStore(self.work, self.constants, take_turns).upload
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Return an operation, see `_bind`."""
 
     def _take_turns(self, method: Callable[P, T]) -> Callable[P, T]:
         """Run one operation at a time on a device, and report failures as errors of clmorph."""

@@ -1,16 +1,13 @@
 """Constants with which the kernels are built, chosen for the kind of device."""
 
 import math
+import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pyopencl as cl
 
-from clmorph.backends.interface import MAX_EXPONENT
-from clmorph.backends.numpy.layers import LEAST_LIKENESS
-from clmorph.backends.opencl.build import half_step_slots, sparse_half_step_slots
 from clmorph.backends.opencl.devices.quirks import LONGEST_LOOP, find_quirks
-from clmorph.backends.width_levels import WIDTH_LEVELS
 
 #: The number that represents minus infinity in float32 exponents. It is far below all of them, yet
 #: the sum of a few is finite. It is exact in float32, hence the same number in any precision.
@@ -97,100 +94,19 @@ class BuildConstants:
         return 1 << max(0, most.bit_length() - 1)
 
     @property
+    def loop_rounds(self) -> int:
+        """Rounds that all loops of a work-item may take together, more than any where unlimited."""
+        return self.longest_loop or sys.maxsize
+
+    @property
     def slice_rows(self) -> int:
         """C of SELL-C-sigma, rows of a slice: a multiple of `width` that divides `tile`."""
         return math.gcd(self.tile, 16)
-
-    def row_macros(
-        self,
-        dimension: int,
-        precise: bool = False,
-        listed: bool = False,
-        bounded: int = 0,
-        masked: bool = False,
-        in_blocks: bool = False,
-        stacks: int = 1,
-    ) -> dict[str, int | float]:
-        """Return the macros of ``row_loop.cl`` and ``sums.cl`` for points of some dimension.
-
-        With `listed` the loop covers listed column tiles only, and with `masked` those of their
-        columns that masks choose. `bounded` sums have a proven error bound, which needs precise
-        exponents: as exact as the exponents (1), or with powers in float32, and with exponents in
-        float32 between chosen pairs of tiles (2). Without float64, 2 is 1. With `in_blocks`
-        work-items take `blocks` groups of rows. With `stacks` they take the rows of as many. From
-        `SLICED_FROM` on the dimension is an argument of the kernels.
-        """
-        bounded = min(int(bounded), self.precise)
-        unroll = min(self.unroll, PRECISE_UNROLL) if precise else self.unroll
-        return {
-            "BLOCKS": self.blocks if in_blocks else 1,
-            "BOUNDED": bounded,
-            **({"FLOAT32_UNROLL": self.unroll} if bounded == 2 else {}),
-            "MASKED": int(masked),
-            **({"MASKED_UNROLL": min(unroll, MASKED_UNROLL)} if masked else {}),
-            **({"SLICE": SLICE} if dimension >= SLICED_FROM else {"DIM": dimension}),
-            "EXP2_BUILTIN": self.exp2_builtin,
-            "GROUP": self.group // stacks,
-            "LISTED": int(listed),
-            "PRECISE": self.precise if precise else 0,
-            "SENTINEL": SENTINEL,
-            "STACKS": stacks,
-            "TILE": self.tile,
-            "UNROLL": unroll,
-            "WIDTH": self.width * stacks,
-        }
-
-    def file_macros(self, file: str, precise: bool = False) -> dict[str, int | float]:
-        """Return the macros of a file of no rows and no iterations; `precise` is for grids."""
-        common = {"EXP2_BUILTIN": self.exp2_builtin, "SENTINEL": SENTINEL, "WIDTH": self.width}
-        own: dict[str, dict[str, int | float]] = {
-            "sliced_ellpack.cl": {"SLICE": self.slice_rows, "UNROLL": STORED_UNROLL},
-            "splat.cl": {"CHUNK": self.chunk, "TILE_GROUP": self.tile_group},
-            "grid_log_sum_exp.cl": {
-                "LANES": self.lanes if precise else self.width, "PRECISE": 2 if precise else 0
-            },
-            "tile_levels.cl": {"GROUP": self.group},
-            "layers.cl": {"LEAST_LIKENESS": LEAST_LIKENESS},
-            "nearest_seeds.cl": {"GROUP": self.group, "LEAF": SEED_LEAF, "WAYS": SEED_WAYS},
-            "particles.cl": {
-                "BASE_LEVEL": WIDTH_LEVELS.base, "LEVELS_PER_OCTAVE": WIDTH_LEVELS.per_octave,
-                "WIDTH_LEVELS": WIDTH_LEVELS.count,
-            },
-            # Work-groups of the transform take scalars.
-            "gauss_transform.cl": {
-                "MOMENT_CHUNK": MOMENT_CHUNK, "MOMENT_GROUP": self.group,
-                "WIDTH": self.width if self.group == 1 else 1,
-            },
-            "color_table.cl": {},
-        }  # fmt: skip
-        return common | own[file]
 
     @property
     def lanes(self) -> int:
         """Float64 lanes of a work-item: as many bytes as the float32 ones, but not more than 8."""
         return max(1, min(8, self.width // 2)) if self.float64 else 1
-
-    def half_step_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``half_steps.cl``."""
-        return {
-            "FLOAT64": self.float64,
-            "GROUP": self.step_group,
-            "LANES": self.lanes,
-            "SENTINEL": SENTINEL,
-            "TILE": self.tile,
-            "WIDTH": self.width,
-            **half_step_slots.macros(),
-            "MAX_EXPONENT": round(MAX_EXPONENT if self.float64 else MAX_EXPONENT_OF_PAIRS),
-        }
-
-    def sparse_half_step_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``sparse_half_steps.cl``."""
-        return {
-            **self.half_step_macros(),
-            "GROUP": self.group,
-            "LARGEST_CHANGE": sparse_half_step_slots.LARGEST_CHANGE,
-            **sparse_half_step_slots.macros(),
-        }
 
 
 def choose_constants(device: cl.Device, quirks: frozenset[str] | None = None) -> BuildConstants:

@@ -30,4 +30,4 @@ def macros() -> dict[str, int | float]:
     """Return the macros that name these places."""
     given: dict[str, int | float] = {f"GIVEN_{name}": place for place, name in enumerate(GIVEN)}
     named = half_step_slots.macros_of(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
-    return named | given | {"PARTIALS": PARTIALS}
+    return named | given | {"PARTIALS": PARTIALS, "LARGEST_CHANGE": LARGEST_CHANGE}

@@ -2,9 +2,27 @@
 
 from dataclasses import dataclass
 
-from clmorph.backends.opencl.build.constants import SLICED_FROM, BuildConstants
+from clmorph.backends.interface import MAX_EXPONENT
+from clmorph.backends.numpy.layers import LEAST_LIKENESS
+from clmorph.backends.opencl.build import half_step_slots, sparse_half_step_slots
+from clmorph.backends.opencl.build.constants import (
+    MASKED_UNROLL,
+    MAX_EXPONENT_OF_PAIRS,
+    MOMENT_CHUNK,
+    PRECISE_UNROLL,
+    SEED_LEAF,
+    SEED_WAYS,
+    SENTINEL,
+    SLICE,
+    SLICED_FROM,
+    STORED_UNROLL,
+    BuildConstants,
+)
 from clmorph.backends.opencl.build.kernel_files import KERNELS as KERNELS
 from clmorph.backends.opencl.devices.verdicts import OPTIONAL
+from clmorph.backends.width_levels import WIDTH_LEVELS
+
+Macros = dict[str, int | float]
 
 
 @dataclass(frozen=True)
@@ -15,10 +33,14 @@ class Variant:
     #: Dimension of the points, for the files that include the row loop; 0 for others. Variants for
     #: `SLICED_FROM` serve all larger dimensions, too.
     dimension: int = 0
-    #: These and the following ones are explained in `BuildConstants.row_macros`.
     precise: bool = False
+    #: Whether the loop covers listed column tiles only.
     listed: bool = False
+    #: Sums with a proven error bound, which need precise exponents: as exact as the exponents (1),
+    #: or with powers in float32, and with exponents in float32 between chosen pairs of tiles (2).
+    #: Without float64, 2 is 1.
     bounded: int = 0
+    #: Whether the loop covers only the columns of listed tiles that masks choose.
     masked: bool = False
 
     @property
@@ -39,17 +61,40 @@ class Variant:
             return 1
         return constants.stacks(self.dimension, self.precise)
 
-    def macros(self, constants: BuildConstants) -> dict[str, int | float]:
+    def macros(self, constants: BuildConstants) -> Macros:
         """Return the macros of the program for these build constants."""
         if self.is_optional:
-            sparse = self.file == "sparse_half_steps.cl"
-            return constants.sparse_half_step_macros() if sparse else constants.half_step_macros()
-        if not self.dimension:
-            return constants.file_macros(self.file, self.precise)
-        return constants.row_macros(
-            self.dimension, self.precise, self.listed, self.bounded, self.masked, self.in_blocks,
-            self.stacks(constants),
-        )  # fmt: skip
+            return _half_step_macros(constants, self.file == "sparse_half_steps.cl")
+        if self.dimension:
+            return self._row_macros(constants)
+        common = {"EXP2_BUILTIN": constants.exp2_builtin, "SENTINEL": SENTINEL}
+        common["WIDTH"] = constants.width
+        return common | _file_macros(constants, self.precise)[self.file]
+
+    def _row_macros(self, constants: BuildConstants) -> Macros:
+        """Return the macros of ``row_loop.cl`` and ``sums.cl``."""
+        stacks, unroll = self.stacks(constants), constants.unroll
+        if self.precise:
+            unroll = min(unroll, PRECISE_UNROLL)
+        bounded = min(int(self.bounded), constants.precise)
+        made: Macros = {
+            "BLOCKS": constants.blocks if self.in_blocks else 1,
+            "BOUNDED": bounded,
+            "MASKED": int(self.masked),
+            "EXP2_BUILTIN": constants.exp2_builtin,
+            "GROUP": constants.group // stacks,
+            "LISTED": int(self.listed),
+            "PRECISE": constants.precise if self.precise else 0,
+            "SENTINEL": SENTINEL,
+            "STACKS": stacks,
+            "TILE": constants.tile,
+            "UNROLL": unroll,
+            "WIDTH": constants.width * stacks,
+        }
+        made |= {"SLICE": SLICE} if self.is_sliced else {"DIM": self.dimension}
+        made |= {"FLOAT32_UNROLL": constants.unroll} if bounded == 2 else {}
+        made |= {"MASKED_UNROLL": min(unroll, MASKED_UNROLL)} if self.masked else {}
+        return made
 
     def suits(self, constants: BuildConstants) -> bool:
         """Return whether a device has what the file needs: float64, or long loops to iterate."""
@@ -71,6 +116,41 @@ class Variant:
         ]
         words += ["powers in float32"] if self.bounded == 2 else []
         return f"{self.file} ({', '.join(words)})" if words else self.file
+
+
+def _file_macros(constants: BuildConstants, precise: bool) -> dict[str, Macros]:
+    """Return the macros of the files of no rows and no iterations; `precise` is for grids."""
+    return {
+        "sliced_ellpack.cl": {"SLICE": constants.slice_rows, "UNROLL": STORED_UNROLL},
+        "splat.cl": {"CHUNK": constants.chunk, "TILE_GROUP": constants.tile_group},
+        "grid_log_sum_exp.cl": {
+            "LANES": constants.lanes if precise else constants.width, "PRECISE": 2 * precise
+        },
+        "tile_levels.cl": {"GROUP": constants.group},
+        "layers.cl": {"LEAST_LIKENESS": LEAST_LIKENESS},
+        "nearest_seeds.cl": {"GROUP": constants.group, "LEAF": SEED_LEAF, "WAYS": SEED_WAYS},
+        "particles.cl": {
+            "BASE_LEVEL": WIDTH_LEVELS.base, "LEVELS_PER_OCTAVE": WIDTH_LEVELS.per_octave,
+            "WIDTH_LEVELS": WIDTH_LEVELS.count,
+        },
+        # Work-groups of the transform take scalars.
+        "gauss_transform.cl": {
+            "MOMENT_CHUNK": MOMENT_CHUNK, "MOMENT_GROUP": constants.group,
+            "WIDTH": constants.width if constants.group == 1 else 1,
+        },
+        "color_table.cl": {},
+    }  # fmt: skip
+
+
+def _half_step_macros(constants: BuildConstants, sparse: bool) -> Macros:
+    """Return the macros of ``half_steps.cl``, or of ``sparse_half_steps.cl``."""
+    most = MAX_EXPONENT if constants.float64 else MAX_EXPONENT_OF_PAIRS
+    made = half_step_slots.macros() | {
+        "FLOAT64": constants.float64, "GROUP": constants.step_group, "LANES": constants.lanes,
+        "MAX_EXPONENT": round(most), "SENTINEL": SENTINEL, "TILE": constants.tile,
+        "WIDTH": constants.width,
+    }  # fmt: skip
+    return made | sparse_half_step_slots.macros() | {"GROUP": constants.group} if sparse else made
 
 
 def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clmorph.backends.opencl.build.constants import MOMENT_CHUNK, BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.variants import Variant
-from clmorph.backends.opencl.kernels import launches, loop_limits
+from clmorph.backends.opencl.kernels import launches
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.particles import WHOLE_GROUPS, SortedSplats
 
@@ -95,10 +95,8 @@ def moments_pay(
     return 22 * count + 5.5 * pixels_and_rows * taps + 28 * cells < 2.1 * block * count * blocks
 
 
-def particles_of_bin(longest_loop: int, scalar: bool, group: int, cells: int) -> int:
+def particles_of_bin(loop_rounds: int, scalar: bool, group: int, cells: int) -> int:
     """Return the number of particles of a bin in one launch of ``sum_moments``."""
-    if not longest_loop:
-        return loop_limits.NO_LIMIT
     if scalar:
         terms = -(-TERMS // group)
         clearing = terms * (cells**2 + 2) + 1
@@ -107,10 +105,10 @@ def particles_of_bin(longest_loop: int, scalar: bool, group: int, cells: int) ->
         clearing = TERMS // 4 * cells**2 + 1
         batch, taken = 2 * LANES + ORDERS + 4, LANES
     chunk = 2 * clearing + 2 + batch * -(-MOMENT_CHUNK // taken)
-    chunks = (longest_loop - clearing - chunk) // chunk
+    chunks = (loop_rounds - clearing - chunk) // chunk
     if chunks > 0:
         return chunks * MOMENT_CHUNK
-    return max(1, (longest_loop - 3 * clearing - batch) // batch * taken)
+    return max(1, (loop_rounds - 3 * clearing - batch) // batch * taken)
 
 
 class Moments:
@@ -118,7 +116,7 @@ class Moments:
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants = work, constants
-        macros = constants.file_macros("gauss_transform.cl")
+        macros = Variant("gauss_transform.cl").macros(constants)
         self._group = int(macros["MOMENT_GROUP"])
         self._scalar = macros["WIDTH"] == 1
         self._span = 1 if self._scalar else SPAN
@@ -190,7 +188,7 @@ class Moments:
         per_bin = round(bins.side / cells.side)
         first_particle, end = int(starts[strip.start]), int(starts[strip.stop])
         # As in the gather, crowded bins are summed in parts of a fixed size.
-        limit = particles_of_bin(self._constants.longest_loop, self._scalar, self._group, per_bin)
+        limit = particles_of_bin(self._constants.loop_rounds, self._scalar, self._group, per_bin)
         most = min(launches.LAUNCH_PARTICLES, limit)
         part = most if counts.max() > most else end - first_particle
         work = np.minimum(counts, part) + per_bin**2
