@@ -73,6 +73,7 @@ def test_a_moved_picture_is_no_ghost(pictures):
     assert crossfade_share(moved, a, b) < 0.1
 
 
+@pytest.mark.full
 def test_each_function_says_what_film_measures_says(pictures):
     a, b = pictures
     film = [*wipe(a, b, 25)[:-1], b]

@@ -16,7 +16,7 @@ from clmorph.backends.opencl.verification.bench import TABLE, Bench, Clouds, clu
 from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.backends.records import ProgramError
 
-DIMENSIONS = [12, 17, 30, 128, MAX_DIMENSION]
+DIMENSIONS = [12, 17, 30, 128, pytest.param(MAX_DIMENSION, marks=pytest.mark.full)]
 #: How coordinates are changed: by an offset, and by a scale.
 PLACES = ((0.0, 1.0), (1e4, 1.0), (-3e7, 1e5), (5.0, 0.1))
 #: The row loop's files: moments of many coordinates are many.

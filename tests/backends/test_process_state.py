@@ -190,6 +190,7 @@ def test_an_interpreter_that_is_gone_is_a_reason(monkeypatch, tmp_path):
     assert "No such file" in trial.run_probe("0:0")["reason"]
 
 
+@pytest.mark.full
 @pytest.mark.needs_device
 def test_the_probe_stands_any_environment(monkeypatch, tmp_path):
     """Modules of the current folder, warnings as errors and the like are not the driver's."""

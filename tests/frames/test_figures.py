@@ -124,6 +124,7 @@ class TestLogos:
         dark = [np.mean(morph.frame(t).max(axis=2) < 0.25) for t in (0.0, 0.25, 0.5, 0.75)]
         assert max(dark) < 1.5 * dark[0]  # 7 times as much by colors that continue the rim
 
+    @pytest.mark.full
     def test_thin_lines_stay_lines(self, device):
         """Two thin lines that do not meet have no mean: each place shows one of them, whole."""
         images = [Image.new("L", (512, 512), 255) for _ in range(2)]

@@ -245,6 +245,7 @@ def test_edges_that_lose_contrast_have_no_halos(device):
         assert frame.max() < frame[distance > 0.32].max() + 0.04
 
 
+@pytest.mark.full
 def test_fine_lines_are_seen_before_the_end(device):
     y, x = np.mgrid[:128, :128] - 63.5
     disc, grid = np.ones((2, 128, 128, 3))

@@ -119,6 +119,7 @@ def test_a_disc_moves_as_one(device, ground, places):
         assert np.abs(frame[away < 7][:, :3] - RED).max() < 0.15
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["photographs", "sizes", "logos", "clear logos", "mixed"])
 def test_near_frames_are_alike(device, kind):
     """There are no jumps, not even where paths, pixels or levels of a picture change."""

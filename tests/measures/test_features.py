@@ -51,6 +51,7 @@ def test_features_decide_where_mass_goes(any_backend, rng):
     assert_allclose(nothing.potentials.dual, alone.potentials.dual, atol=1e-6)
 
 
+@pytest.mark.full
 def test_features_at_every_size(rng):
     a, b = pair(rng, 16, 20)
     one, other = rng.random((2, 16, 20, 6))

@@ -488,6 +488,7 @@ def test_on_a_desk_all_is_in_sight(rng, show, size):
     assert opened.locator("#parameters tr").last.bounding_box()["y"] < size[1]
 
 
+@pytest.mark.full
 def test_a_phone(rng, show):
     images = [rng.random((20, 12, 4)), rng.random((12, 20, 3))]
     result = morph(*images, n_frames=4, blur=0.2)
@@ -582,6 +583,7 @@ def test_hostile_texts_are_only_texts(rng, show):
     assert opened.locator("img, b:not(#time)").count() == 0
 
 
+@pytest.mark.full
 def test_chains(rng, show):
     times = np.array([0, 0.5, 1, 1.5, 2])
     fields = [Field([[0.5, 0.5]], [[0.2, 0]]), Field([[0.5, 0.5]], [[0, 0.2]], begin=1, end=2)]
@@ -644,6 +646,7 @@ def test_the_last_of_several_requests_is_shown(rng, show):
     assert np.array_equal(pixels(opened)[..., :3], frames[0])
 
 
+@pytest.mark.full
 def test_a_broken_frame_is_told(rng, show):
     text = page(scene_with(noise(rng, 40), fps=50, hold=0))
     blocks = list(re.finditer(r'class="frame">([^<]*)<', text))
@@ -672,6 +675,7 @@ def test_without_javascript_it_says_so(rng, show):
     assert opened.locator("#parameters td").inner_text() == "0.03"
 
 
+@pytest.mark.full
 def test_a_notebook(rng, show):
     result = morph(rng.random((9, 12, 3)), rng.random((12, 9, 3)), n_frames=4)
     text = f"<!doctype html><meta charset=utf-8><h1>Notebook</h1>{repr_html(result)}"

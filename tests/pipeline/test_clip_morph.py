@@ -53,13 +53,8 @@ def test_frames_before_and_after_are_the_clips_own(device):
     assert np.abs(film[17] - two[9] / 255).mean() < 0.04
 
 
-@pytest.mark.parametrize(
-    "kinds",
-    [
-        "clip clip",
-        *(pytest.param(it, marks=pytest.mark.full) for it in ("still clip", "clip still")),
-    ],
-)
+@pytest.mark.full
+@pytest.mark.parametrize("kinds", ["clip clip", "still clip", "clip still"])
 def test_nothing_jumps_where_a_pair_is_solved(device, kinds):
     """Changes at key pairs are at most 1.3 times those elsewhere, also at both ends."""
     count, step = 24, 6

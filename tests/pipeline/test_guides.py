@@ -47,6 +47,7 @@ def test_two_views_are_warped_into_each_other(views):
     assert np.array_equal(again.frame(0.5), morph.frame(0.5))
 
 
+@pytest.mark.full
 def test_pictures_with_nothing_in_common_are_morphed_as_before(views, tmp_path):
     for landmarks in ("auto", None):
         morph = clmorph.morph(views[0], views[3], landmarks=landmarks, **SMALL)

@@ -217,6 +217,7 @@ class TestCommand:
             Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(names[-1])
         return [str(name) for name in names]
 
+    @pytest.mark.full
     def test_a_grid_in_one_picture(self, files, tmp_path, capsys):
         from clmorph.cli.main import main
 

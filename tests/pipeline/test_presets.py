@@ -139,6 +139,7 @@ class TestCommand:
         told = "preset: logo, for what the pictures show; given otherwise: detail, solve_size\n"
         assert told in capfd.readouterr().err
 
+    @pytest.mark.full
     def test_draft(self, files, capfd):
         pair = ["photo0.png", "photo1.png"]
         command = ["morph", *pair, "-o", "out.gif", "--draft", "--json", "--backend", "numpy"]

@@ -78,6 +78,7 @@ def palette(tmp_path):
     return tmp_path / "palette.png"
 
 
+@pytest.mark.full
 def test_frames_are_recolored_as_a_picture_of_all_of_them(device, tmp_path):
     clip, like = made(tmp_path / "in.mp4", zoom(16)), data.coffee()[::8, ::8]
     clmorph.recolor_clip(clip, like, tmp_path / "out.mp4", backend=device)

@@ -279,6 +279,7 @@ def test_dimensions_are_as_many_as_is_said(rng):
 # --- threads --------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_threads_share_a_backend(device):
     """Four at once, on one device object and on NumPy, with colors that are clipped on the way."""
 

@@ -171,6 +171,7 @@ def test_translations(device):
     assert float(clmorph.sinkhorn_divergence(found, copy, 0.05, backend=device)) < 1e-6
 
 
+@pytest.mark.full
 def test_gradient_of_the_divergences_vanishes(device):
     """Masses differ, and so do the measures' numbers of points."""
     measures = [_cloud(2, 30), (1.5 * _cloud(3, 45)[0], _cloud(3, 45)[1] + 0.2)]

@@ -546,6 +546,7 @@ def test_choices_that_have_had_too_many_pairs_are_not_tried_again(monkeypatch):
     assert tried == [[first, second], [second], [second], [], [last]]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("counts", [0.2, 1.0])
 def test_cycles_that_end_at_the_edge_of_the_trust_region_are_no_failures(monkeypatch, counts):
     """They bring potentials that move far to the solution, if they do not count as failures."""
