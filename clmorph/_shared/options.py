@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from typing import Any, ClassVar, Self
+from warnings import warn
 
 from clmorph._shared.option_kinds import Kind
 from clmorph._shared.validation import as_float, shown
@@ -142,6 +143,16 @@ class Options:
     def replace(self, **given: Any) -> Self:
         """Return a copy of these options with some replaced."""
         return type(self)(**self.layered((self.as_dict(), given)))
+
+    def chosen(self, names: Iterable[str], given: Mapping[str, Any]) -> Self:
+        """Replace options that are among the names; until 1.0, `replace` does it."""
+        warn("chosen() goes with clmorph 1.0: use replace()", DeprecationWarning, stacklevel=2)
+        return self.replace(**among(given, names))
+
+    def check_together(self) -> None:
+        """Do nothing, until 1.0: options are checked when they are made."""
+        warn("check_together() goes with clmorph 1.0: options are checked when they are made",
+             DeprecationWarning, stacklevel=2)  # fmt: skip
 
     @classmethod
     def of_call(cls, options: Any, given: Mapping[str, Any], example: str) -> Self:

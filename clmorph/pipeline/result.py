@@ -4,6 +4,7 @@ from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any, overload
+from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,6 +211,12 @@ class Morph(Film):
         if layers is None:
             raise InputError(f'detail={self.detail!r}: expected "layers"; only they have layers')
         return layers
+
+    @property
+    def halfway(self) -> None:
+        """None: until 0.2 the motion of carried detail, which ``detail="layers"`` replaced."""
+        warn("Morph.halfway is None and goes with clmorph 1.0: see Morph.layers",
+             DeprecationWarning, stacklevel=2)  # fmt: skip
 
     @property
     def sigma(self) -> NDArray[np.float64]:

@@ -134,6 +134,20 @@ def test_documented_modules_that_moved_still_work(old, name):
     assert told[1] == name
 
 
+def test_methods_that_went_warn():
+    options = MorphOptions(blur=0.1)
+    with pytest.warns(DeprecationWarning, match=r"use replace\(\)"):
+        assert options.chosen(("blur", "tol"), {"tol": 1e-2}) == options.replace(tol=1e-2)
+    with pytest.warns(DeprecationWarning, match="chosen"), pytest.raises(InputError, match="reach"):
+        options.chosen(("blur", "tol"), {"reach": 1.0})
+    with pytest.warns(DeprecationWarning, match="when they are made"):
+        options.check_together()
+    gray = np.full((3, 3, 3), 0.5)
+    film = clmorph.morph(gray, gray, n_frames=2, backend="numpy")
+    with pytest.warns(DeprecationWarning, match=r"Morph\.layers"):
+        assert film.halfway is None
+
+
 def test_presets_differ_from_the_defaults_in_what_they_list():
     for name, preset in PRESETS.items():
         assert preset.help.endswith(".")
