@@ -2,9 +2,8 @@
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from clmorph.batch.places import exists, is_remote, name_of, resolved
 from clmorph.batch.run import run_jobs
 from clmorph.batch.workers import devices_of, local_client, remote_client
 from clmorph.cli.common import device_name
-from clmorph.cli.config import Found, read_settings
+from clmorph.cli.config import read_settings
 from clmorph.cli.terminal import NOTES, RESULTS, note, say
 from clmorph.errors import InputError
 from clmorph.images.pixels import MAX_PIXELS
@@ -35,44 +34,11 @@ LISTED = 20
 LEAST_MEMORY = 300e6
 
 
-@dataclass(frozen=True)
-class BatchRequest:
-    """The request of the command line; one of `table`, `all_pairs` and `chain` is given."""
-
-    table: str | None
-    all_pairs: str | None
-    chain: str | None
-    #: The ending of outputs of `all_pairs` and `chain`.
-    ending: str
-    defaults: Defaults
-    #: The address of a running scheduler.
-    scheduler: str | None
-    #: The number of local workers.
-    workers: int | None
-    #: The memory of a local worker.
-    memory: str | None
-    device: str
-    redo: bool
-    as_json: bool
-
-
-def batch_request(
-    *,
-    jobs: str | None,
-    out: str,
-    ending: str,
-    config: Path | None,
-    preset: str | None,
-    memory: str | None,
-    device: str | None,
-    backend: str | None,
-    max_pixels: int | None,
-    **more: Any,
-) -> BatchRequest:
-    """Return the request that the arguments of the command line mean, or raise InputError."""
+def _defaults(given: Mapping[str, Any]) -> Defaults:
+    """Return what holds for all jobs, from the checked arguments of the command line."""
+    out, ending, memory, config = (given[name] for name in ("out", "ending", "memory", "config"))
     if not out or "\0" in out:
         raise InputError("--out is empty: expected the name of a folder")
-    device = device_name(device, backend)
     if not ending.startswith(".") or by_ending(Path(f"a{ending}")) is None:
         raise InputError(f"--ending {ending}: expected one of {', '.join(usual_endings())}")
     need_dask()
@@ -85,32 +51,23 @@ def batch_request(
             enough = False
         if not enough:
             raise InputError(f"--memory {memory}: expected a size such as 4GB, 300MB or more")
-    found = None if config is None else read_settings(config)
-    for name in found.beside if found is not None else ():
-        raise InputError(
-            f"--config {config}: its {name} belong to one pair of pictures: name them in the "
-            f"table, in the columns source_{name} and target_{name}"
-        )
-    if found is not None:
+    options, preset, most = {}, given["preset"], given["max_pixels"]
+    if config is not None:
+        found = read_settings(config)
+        for name in found.beside:
+            raise InputError(
+                f"--config {config}: its {name} belong to one pair of pictures: name them in the "
+                f"table, in the columns source_{name} and target_{name}"
+            )
         ignored = [name for name in ("output", "format", "recipe") if name in found.own]
         if ignored:
             note(f"{config}: batches do not use {', '.join(ignored)}")
-    most = max_pixels if max_pixels is not None else (found.own if found else {}).get("max_pixels")
-    defaults = Defaults(
-        resolved(out),
-        {} if found is None else found.options,
-        preset or (found.preset if found else None) or _left_to_nobody(found),
-        MAX_PIXELS if most is None else check_max_pixels(most),
-    )
-    return BatchRequest(
-        jobs, ending=ending, defaults=defaults, memory=memory,
-        device=device, **more,
-    )  # fmt: skip
-
-
-def _left_to_nobody(found: Found | None) -> str | None:
-    """Return the preset under a recipe, which holds all options, so that none is chosen."""
-    return "photo" if found is not None and not found.named.own else None
+        # A recipe holds all options, so that no preset is chosen under it.
+        preset = preset or found.preset or (None if found.named.own else "photo")
+        most = found.own.get("max_pixels") if most is None else most
+        options = found.options
+    most = MAX_PIXELS if most is None else check_max_pixels(most)
+    return Defaults(resolved(out), options, preset, most)
 
 
 def _with_earlier(journal: Journal, records: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -123,19 +80,19 @@ def _with_earlier(journal: Journal, records: list[dict[str, Any]]) -> list[dict[
     return [*earlier, *records]
 
 
-def run_batch(request: BatchRequest) -> int:
+def run_batch(given: Mapping[str, Any]) -> int:
     """Do all jobs that are not done yet; return 1 if any pair has failed, else 0."""
     began = time.perf_counter()
-    jobs = _jobs(request)
-    folder = request.defaults.folder
+    device, defaults = device_name(given["device"], given["backend"]), _defaults(given)
+    jobs, folder = _jobs(given, defaults), defaults.folder
     with Journal(folder) as journal:
-        left = journal.missing(jobs, request.device, request.redo)
+        left = journal.missing(jobs, device, given["redo"])
         if len(left) < len(jobs):
             say(f"{len(jobs) - len(left)} of {len(jobs)} pairs are done already")
         try:
             if left:
-                with _client(request, len(left)) as client:
-                    _work(client, left, journal, request.device)
+                with _client(given, device, len(left)) as client:
+                    _work(client, left, journal, device)
         finally:
             # What workers left that were ended in the middle; those that still write hold a lock.
             for place in {Path(job.output).parent for job, _ in left if not is_remote(job.output)}:
@@ -146,7 +103,7 @@ def run_batch(request: BatchRequest) -> int:
             note_partial(f"{n_done} of {len(jobs)} pairs are done: the same command does the rest")
     failed = [record for record in records if record["status"] == "failed"]
     seconds = time.perf_counter() - began
-    if request.as_json:
+    if given["as_json"]:
         summary = {
             "pairs": len(jobs), "done": len(jobs) - len(failed), "failed": len(failed),
             "new": len(left), "seconds": round(seconds, 3), "index": page,
@@ -165,26 +122,26 @@ def run_batch(request: BatchRequest) -> int:
     return 1 if failed else 0
 
 
-def _jobs(request: BatchRequest) -> list[Job]:
-    sources = [request.table, request.all_pairs, request.chain]
+def _jobs(given: Mapping[str, Any], defaults: Defaults) -> list[Job]:
+    sources = [given[name] for name in ("jobs", "all_pairs", "chain")]
     if sum(source is not None for source in sources) != 1:
         raise InputError("expected a table of jobs, or --all-pairs FOLDER, or --chain FOLDER")
-    if request.scheduler is not None and (request.workers or request.memory):
+    if given["scheduler"] is not None and (given["workers"] or given["memory"]):
         raise InputError("--scheduler has workers of its own: leave out --workers and --memory")
-    if request.table is not None:
-        return read_jobs(resolved(request.table), request.defaults)
-    source = request.all_pairs or request.chain or ""
-    return from_folder(source, request.ending, request.chain is not None, request.defaults)
+    table, pairs, chain = sources
+    if table is not None:
+        return read_jobs(resolved(table), defaults)
+    return from_folder(pairs or chain, given["ending"], chain is not None, defaults)
 
 
-def _client(request: BatchRequest, count: int) -> AbstractContextManager[Any]:
-    if request.scheduler is not None:
-        return remote_client(request.scheduler)
+def _client(given: Mapping[str, Any], device: str, count: int) -> AbstractContextManager[Any]:
+    if given["scheduler"] is not None:
+        return remote_client(given["scheduler"])
     with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
-        if request.device not in ("auto", "opencl"):
-            get_backend(request.device)  # a mistake is one error, and not one for each pair
-        devices = devices_of(request.device, request.workers)
-    return local_client(devices[:count], request.memory)
+        if device not in ("auto", "opencl"):
+            get_backend(device)  # a mistake is one error, and not one for each pair
+        devices = devices_of(device, given["workers"])
+    return local_client(devices[:count], given["memory"])
 
 
 def _work(client: Any, left: Sequence[tuple[Job, str]], journal: Journal, device: str) -> None:

@@ -18,7 +18,7 @@ def has_clip(request: Request) -> bool:
 
 def run_clips(request: Request) -> None:
     """Write a film in which one becomes the other, and print a summary."""
-    options, places = request.options, request.places()
+    options, places = request.options, request.places
     check_clip_outputs(places)
     request.check_files()
     if len(request.images) != 2:
@@ -35,7 +35,6 @@ def run_clips(request: Request) -> None:
         for path in request.images
     ]
     with request.stages() as stages:
-        stages.count("preparation")
         operations = request.open()
         film = clip_film(
             ends[0], ends[1], options, every=EVERY,
@@ -47,7 +46,7 @@ def run_clips(request: Request) -> None:
         parameters = request.metadata(options, operations)
         frames = write_clip_film(film, places, parameters, request.texts(options, operations))
         summary: dict[str, Any] = {
-            "outputs": [{"path": str(each.path), "format": each.name} for each in places],
+            "outputs": request.written,
             "frames": frames,
             "transition": film.count,
             "fps": float(film.rate),

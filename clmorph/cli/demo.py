@@ -37,10 +37,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     with recorded_for(
         outputs, [result], Motion(), parameters=result.parameters, progress=stages
     ) as recording:
-        write_all(
-            outputs, recording,
-            report=lambda output, share: stages(f"write {output.path.name}", share),
-        )  # fmt: skip
+        write_all(outputs, recording, report=stages.writing)
     seconds = ", ".join(f"{stage} {time:.1f} s" for stage, time in stages.seconds.items())
     return [
         f"pictures: {sprite.shape[1]}x{sprite.shape[0]} into {photo.shape[1]}x{photo.shape[0]} "

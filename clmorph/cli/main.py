@@ -3,7 +3,6 @@
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -171,18 +170,17 @@ def morph(context: click.RichContext, /, **given: Any) -> None:
     from clmorph.cli.morph import announce_idle, run_morph
 
     config, line = given["config"], options.given_options(given)
-    options_of, auto = _options(context, given, line)
+    chosen = _chosen_by_preset(context, given, line)
     images, beside = _pictures(given["images"], config), _beside(given, config)
     if given["dump_config"]:
-        _dump(given, images, beside, options_of, auto)
+        _dump(given, images, beside, **chosen)
         return
     if context.get_parameter_source("output") is ParameterSource.COMMANDLINE and (
         context.get_parameter_source("format") is not ParameterSource.COMMANDLINE
     ):
         given["format"] = None  # the file's format applies only to the output that it names
     request = _request(
-        given, options_of(None if auto else given["preset"]), images,
-        "morph a.png b.jpg -o out.gif", beside=beside, options_of=options_of if auto else None,
+        given, images, "morph a.png b.jpg -o out.gif", beside=beside, **chosen,
         # A limit that the user repeats on the command line counts as the user's own.
         capped=config is not None and not config.named.own and "max_memory" not in line,
         named=frozenset((*line, *(() if config is None else config.options))),
@@ -190,7 +188,7 @@ def morph(context: click.RichContext, /, **given: Any) -> None:
     if has_clip(request):
         run_clips(request)
         return
-    announce_idle(list(line), request.outputs, request.format)
+    announce_idle(list(line), request)
     run_morph(request)
 
 
@@ -198,34 +196,31 @@ def _dump(
     given: dict[str, Any],
     images: Sequence[Path],
     beside: dict[str, Sequence[Path]],
-    options_of: Callable[[str | None], MorphOptions],
-    auto: bool,
+    options: MorphOptions,
+    options_of: Callable[[str], MorphOptions] | None,
 ) -> None:
     """Print all options as TOML."""
-    most, preset = given["max_pixels"] or MAX_PIXELS, None if auto else given["preset"]
-    if auto and images and all(path.is_file() for path in images):
+    most = given["max_pixels"] or MAX_PIXELS
+    if options_of is not None and images and all(path.is_file() for path in images):
         from clmorph.cli.common import read_picture
-        from clmorph.pipeline.prepare import as_images, recognized
+        from clmorph.pipeline.prepare import recognized
 
-        preset = recognized(as_images([read_picture(path, most) for path in images]))
-    elif auto:
+        options = options_of(recognized(read_picture(path, most) for path in images))
+    elif options_of is not None:
         from clmorph.cli.terminal import note
 
         note("these are the options for photographs: name pictures for those that they choose")
     own = {"format": given["format"], "recipe": given["recipe"], "max_pixels": most}
     settings = {name: value for name, value in own.items() if value is not None}
-    text = files.as_toml(options_of(preset).outside() | settings, images, beside)
+    text = files.as_toml(options.outside() | settings, images, beside)
     # TOML is UTF-8, independent of the terminal's encoding.
     click.echo(text.encode("utf-8"), nl=False)
 
 
-def _options(
+def _chosen_by_preset(
     context: click.Context, given: dict[str, Any], line: dict[str, Any]
-) -> tuple[Callable[[str | None], MorphOptions], bool]:
-    """Join a preset, the file of settings and the command line; the command line wins.
-
-    The result is a function of the preset's name, and whether the pictures choose the preset.
-    """
+) -> dict[str, Any]:
+    """Return `options` and `options_of` of a `Request`; the command line wins over the file."""
     config, preset = given["config"], given["preset"]
     file = {} if config is None else config.options
     wins = context.get_parameter_source("preset") is ParameterSource.COMMANDLINE
@@ -235,7 +230,11 @@ def _options(
     def options_of(name: str | None) -> MorphOptions:
         return MorphOptions.joined(line, name, file, preset_wins=wins, draft=given["draft"])
 
-    return options_of, preset == AUTO or (preset is None and not foreign)
+    auto = preset == AUTO or (preset is None and not foreign)
+    return {
+        "options": options_of(None if auto else preset),
+        "options_of": options_of if auto else None,
+    }
 
 
 def _beside(given: dict[str, Any], config: files.Found | None) -> dict[str, Sequence[Path]]:
@@ -258,7 +257,6 @@ def _beside(given: dict[str, Any], config: files.Found | None) -> dict[str, Sequ
 
 def _request(
     given: dict[str, Any],
-    chosen: Any,
     images: tuple[Path, ...],
     example: str,
     counts: tuple[int, float] = (2, math.inf),
@@ -278,7 +276,7 @@ def _request(
         raise InputError(f"no output given: expected -o with a name, such as -o {name}")
     config, most_pixels = given["config"], given["max_pixels"]
     return Request(
-        images, given["output"], chosen, MAX_PIXELS if most_pixels is None else most_pixels,
+        images, given["output"], max_pixels=MAX_PIXELS if most_pixels is None else most_pixels,
         format=given.get("format"), recipe=bool(given["recipe"]),
         config=None if config is None else config.named.file, device=given["device"],
         backend=given["backend"], as_json=given["as_json"], **more,
@@ -306,7 +304,7 @@ def rearrange(context: click.RichContext, /, **given: Any) -> None:
 
     chosen = _chosen(RearrangeOptions, given)
     images = _pictures(given["images"], given["config"])
-    run_rearrange(_request(given, chosen, images, "rearrange a.png b.jpg -o out.gif"))
+    run_rearrange(_request(given, images, "rearrange a.png b.jpg -o out.gif", options=chosen))
 
 
 @cli.command()
@@ -359,8 +357,10 @@ def recolor(context: click.RichContext, /, **given: Any) -> None:
         example, count = "recolor photo.jpg --lut look.cube -o out.png", 1
     else:
         example, count = "recolor photo.jpg like.jpg -o out.png", 2
-    request = _request(given, chosen, images, example, (count, count), beside=beside)
-    run_recolor(replace(request, tables=export_lut), None if lut_size is None else int(lut_size))
+    request = _request(
+        given, images, example, (count, count), options=chosen, beside=beside, tables=export_lut
+    )
+    run_recolor(request, None if lut_size is None else int(lut_size))
 
 
 def _check_lut(given: Mapping[str, Any]) -> None:
@@ -415,29 +415,24 @@ def mix(context: click.RichContext, /, **given: Any) -> None:
     from clmorph.pipeline.mixing.weights import MOST_IMAGES
 
     config = given["config"]
-    options_of, auto = _options(context, given, options.given_options(given))
+    chosen = _chosen_by_preset(context, given, options.given_options(given))
     images = _pictures(given["images"], config)
     listed = weights_of(given["weights"], len(images)) if images else None
     what = {"grid": given["grid"], "weights": listed, "path": given["path"]}
     shown = {name: value for name, value in what.items() if value}
     if config is not None:
         shown = shown or dict(config.mixes)
-    run_mix(
-        _request(
-            given, options_of(None if auto else given["preset"]), images,
-            "mix a.png b.png c.png d.png -o grid.png", (2, MOST_IMAGES), shown=shown,
-            options_of=options_of if auto else None,
-        )
-    )  # fmt: skip
+    example = "mix a.png b.png c.png d.png -o grid.png"
+    run_mix(_request(given, images, example, (2, MOST_IMAGES), shown=shown, **chosen))
 
 
 def _note(told: set[str], message: Warning | str, *others: Any, **more: Any) -> None:
     """Print a warning as a note, once; else the signature is that of `warnings.showwarning`."""
-    from clmorph.cli.common import note_warning
+    from clmorph.cli.terminal import note
 
     if str(message) not in told:
         told.add(str(message))
-        note_warning([], message, *others, **more)
+        note(options.in_option_names(str(message)))
 
 
 for command in (inspect, batch, studio, comfyui, demo, devices, check, tune, completion):

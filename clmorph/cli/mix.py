@@ -4,22 +4,17 @@ from collections.abc import Sequence
 from typing import Any
 
 from clmorph._shared.printable import printable
-from clmorph.cli.common import chosen_preset, found_guides, note_thin
 from clmorph.cli.request import Request
-from clmorph.cli.terminal import say
 from clmorph.errors import InputError
-from clmorph.pipeline.maps import NO_MAPS
-from clmorph.pipeline.mixing.mix import check_images, mixes_of
+from clmorph.pipeline.mixing.mix import mixes_of
 from clmorph.pipeline.mixing.mixes import pairs_of
 from clmorph.pipeline.mixing.weights import check_mix_weights, grid_layout, grid_sides, path_weights
 from clmorph.pipeline.mixing.writing import check_outputs, write_film, write_sheet
-from clmorph.pipeline.prepare import recognized
 
 
 def run_mix(request: Request) -> None:
     """Mix pictures, write the output files, and print a summary."""
-    images, shown = request.images, request.shown or {}
-    count = len(images)
+    count, shown = len(request.images), request.shown or {}
     if len(shown) > 1:
         first, second = list(shown)[:2]
         raise InputError(f"--{first} and --{second} contradict: give one of them")
@@ -29,49 +24,36 @@ def run_mix(request: Request) -> None:
     grid = grid_sides("--grid", shown["grid"]) if "grid" in shown else None
     if weights is None:
         grid_layout(count, grid)  # raises an error before pictures are read
-    places = request.places()
+    places = request.places
     request.check_files()
     n_stops = 0 if stops is None else len(stops)
     check_outputs(places, n_stops, request.options)
-    pictures = check_images(request.read())
-    chosen, preset = request.options, None
-    if request.options_of is not None:
-        preset = recognized(pictures)
-        chosen = request.options_of(preset)
-        say(chosen_preset(preset, chosen))
-    note_thin(images, pictures, chosen)
-    guide = found_guides(pictures, pairs_of(count), chosen, NO_MAPS)
-    chosen = guide.options
-    operations = request.open()
+    pictures, _, guide, preset = request.prepared(pairs_of(count))
+    chosen, operations = guide.options, request.open()
     with request.stages() as stages:
-        stages.count("preparation")
         mixes = mixes_of(
             pictures, weights, chosen, grid=grid, preset=None, draft=False, backend=operations,
             progress=stages, given={},
         )  # fmt: skip
-        parameters, texts = (
-            request.metadata(chosen, operations),
-            request.texts(chosen, operations),
-        )
+        parameters = request.metadata(chosen, operations)
+        texts = request.texts(chosen, operations)
         summary: dict[str, Any] = {
-            "outputs": [{"path": str(each.path), "format": each.name} for each in places],
+            "outputs": request.written,
             "mixes": len(mixes),
             "preset": preset,
             "found": guide.found,
         }
         if stops is None:
             write_sheet(places, mixes.sheet(chosen.background), parameters, texts)
+            what = f"{len(mixes)} mixes"
         else:
             legs = mixes.path(list(stops))
             frames, seconds = write_film(
                 places, legs, chosen, mixes.pixelated, parameters, texts, stages
             )
             summary |= {"frames": frames, "duration": round(seconds, 6)}
+            what = f"{frames} frames{request.round_text(seconds)}"
         summary |= parameters
-    number = summary.get("frames")
-    what = f"{len(mixes)} mixes" if number is None else f"{number} frames"
-    if number is not None and any(place.format.animated for place in places):
-        what += f", {summary['duration']:.3g} s a round"
     request.finish(summary, stages, what)
 
 

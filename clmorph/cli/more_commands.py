@@ -8,6 +8,8 @@ import rich_click as click
 
 from clmorph.cli import options
 from clmorph.errors import InputError
+from clmorph.images.pixels import MAX_PIXELS
+from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
 
 #: Shells for which completion is supported.
@@ -81,9 +83,9 @@ def batch(**given: Any) -> int:
 
     Started again, it does only what is missing. Exit code 1: some pairs have failed.
     """  # noqa: D301
-    from clmorph.cli.batch import batch_request, run_batch
+    from clmorph.cli.batch import run_batch
 
-    return run_batch(batch_request(**given))
+    return run_batch(given)
 
 
 @click.command(epilog=PRESET_LINES, cls=options.LabeledCommand)
@@ -111,10 +113,26 @@ def inspect(images: tuple[Path, ...], **given: Any) -> None:
     clmorph inspect a.png b.jpg -o report.png    and a picture of where everything goes
     """  # noqa: D301
     from clmorph.cli.inspect import run_inspect
+    from clmorph.cli.request import Request
 
     if len(images) != 2:
         raise InputError(f"{counted(images)}: expected two, as in clmorph inspect a.png b.jpg")
-    run_inspect(images, given, options.given_options(given))
+    preset, line = given["preset"], options.given_options(given)
+    auto = preset is None or preset == AUTO
+
+    def options_of(name: str | None) -> MorphOptions:
+        return MorphOptions(preset=name, **line)
+
+    run_inspect(
+        Request(
+            images, () if given["output"] is None else (given["output"],),
+            options_of(None if auto else preset),
+            MAX_PIXELS if given["max_pixels"] is None else given["max_pixels"],
+            device=given["device"], backend=given["backend"], as_json=given["as_json"],
+            beside={name: given[name] for name in ("labels", "features") if given[name]},
+            options_of=options_of if auto else None,
+        )
+    )  # fmt: skip
 
 
 @click.command()

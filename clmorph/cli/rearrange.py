@@ -4,12 +4,10 @@ from collections.abc import Iterator, Sequence
 
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
-from clmorph.cli.common import note_thin
 from clmorph.cli.request import Request
 from clmorph.cli.terminal import Stages
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.resizing import as_unit
-from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.save import recorded_for, write_all
 from clmorph.pipeline.rearrange import arranged
 from clmorph.pipeline.rearrange_options import RearrangeOptions
@@ -18,36 +16,27 @@ from clmorph.pipeline.rearrangement import Rearrangement
 
 def run_rearrange(request: Request) -> None:
     """Move the pixels of the first picture into each next one; write files and a summary."""
-    images, options = request.images, request.options
-    places = request.places()
+    places, options = request.places, request.options
     request.check_files()
-    motion = motion_of(options, held_frames(len(images), options.n_frames))
-    for place in places:
-        place.check_motion(motion)
+    motion = request.motion()
     pictures = request.read()
-    note_thin(images[:1], pictures[:1], options)
+    request.note_thin(pictures[:1], options)
     operations = request.open()
     done: list[dict[str, float]] = []
-    with request.stages() as stages:
-        stages.count("preparation")
-        with recorded_for(
-            places, _chain(pictures, options, operations, stages, done), motion,
-            n_morphs=len(pictures) - 1, reverse=options.reverse,
-            pixelated=is_pixel_art(as_unit(pictures[0])),
-            parameters=request.metadata(options, operations), progress=stages,
-        ) as film:  # fmt: skip
-            write_all(
-                places, film, options,
-                lambda place, share: stages(f"write {place.path.name}", share),
-                request.texts(options, operations),
-            )  # fmt: skip
-            summary = {
-                "outputs": [{"path": str(each.path), "format": each.name} for each in places],
-                "frames": len(film),
-                "duration": round(film.duration, 6),
-                "assignments": done,
-                **film.parameters,
-            }
+    with request.stages() as stages, recorded_for(
+        places, _chain(pictures, options, operations, stages, done), motion,
+        n_morphs=len(pictures) - 1, reverse=options.reverse,
+        pixelated=is_pixel_art(as_unit(pictures[0])),
+        parameters=request.metadata(options, operations), progress=stages,
+    ) as film:  # fmt: skip
+        write_all(places, film, options, stages.writing, request.texts(options, operations))
+        summary = {
+            "outputs": request.written,
+            "frames": len(film),
+            "duration": round(film.duration, 6),
+            "assignments": done,
+            **film.parameters,
+        }
     request.finish(
         summary, stages, f"{len(film)} frames", f"; the arrangement costs {_proof(done)}"
     )

@@ -1,6 +1,5 @@
 """The command ``clmorph recolor``: one picture takes the colors of another one."""
 
-import warnings
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.files import write_together
-from clmorph.cli.common import note_warning, quiet_libraries, read_picture
+from clmorph.cli.common import noted_warnings, quiet_libraries, read_picture
 from clmorph.cli.request import Request
 from clmorph.clips.reading import is_clip
 from clmorph.clips.writing import CONTAINERS
@@ -27,21 +26,18 @@ def run_recolor(request: Request, size: int | None) -> None:
     """Recolor the photo, write files and a summary; tables have `size` nodes, None: as usual."""
     options = request.options
     request.check_files()
-    kinds = map(container_of, request.outputs, request.formats())
-    places_of_clips = (kind in CONTAINERS for kind in kinds)
-    if is_clip(request.images[0]) or any(places_of_clips):
+    kinds = map(container_of, request.outputs, request.formats)
+    if is_clip(request.images[0]) or any(kind in CONTAINERS for kind in kinds):
         _recolor_clip(request)
         return
     check_for_picture(options)
-    places = list(map(check_picture_place, request.outputs, request.formats()))
+    places = list(map(check_picture_place, request.outputs, request.formats))
     tables = [(check_lut_place(lut), lut) for lut in request.tables]
     lut = _read_lut(request)
     photo, *others = map(as_unit, request.read())
     mask = _read_mask(request, photo.shape) if "mask" in request.beside else None
     operations = request.open()
-    with request.stages() as stages, warnings.catch_warnings():
-        warnings.showwarning = partial(note_warning, [])
-        stages.count("preparation")
+    with request.stages() as stages, noted_warnings():
         look = None
         if lut is not None:
             mask = None if mask is None else feathered(mask, options.feather)
@@ -54,18 +50,11 @@ def run_recolor(request: Request, size: int | None) -> None:
         ]
         stages("files", 0.0)
         parameters = request.metadata(options, operations)
-        write_together(
-            [
-                *(
-                    (place, path, partial(write_picture, found, parameters, format=format))
-                    for place, path, format in zip(
-                        places, request.outputs, request.formats(), strict=True
-                    )
-                ),
-                *written,
-            ],
-            request.texts(options, operations),
-        )
+        pictures = [
+            (place, path, partial(write_picture, found, parameters, format=format))
+            for place, path, format in zip(places, request.outputs, request.formats, strict=True)
+        ]
+        write_together([*pictures, *written], request.texts(options, operations))
         stages("files", 1.0)
         summary = {
             "outputs": [str(path) for path in [*request.outputs, *request.tables]],
@@ -83,7 +72,7 @@ def run_recolor(request: Request, size: int | None) -> None:
 
 def _recolor_clip(request: Request) -> None:
     """Recolor a clip, write the output files, and print a summary."""
-    places = list(map(check_clip_place, request.outputs, request.formats()))
+    places = list(map(check_clip_place, request.outputs, request.formats))
     for name, given in (("mask", request.beside.get("mask")), ("export-lut", request.tables)):
         if given:
             raise InputError(f"--{name} is for pictures: leave it out for a clip")
@@ -93,9 +82,7 @@ def _recolor_clip(request: Request) -> None:
     if lut is None:
         like = as_unit(read_picture(request.images[1], request.max_pixels))
     operations = request.open()
-    with request.stages() as stages, warnings.catch_warnings():
-        warnings.showwarning = partial(note_warning, [])
-        stages.count("preparation")
+    with request.stages() as stages, noted_warnings():
         recoloring = ClipRecoloring(clip, like, options, operations, request.max_pixels, stages)
         parameters = request.metadata(options, operations)
         counts: list[int] = []
@@ -103,15 +90,11 @@ def _recolor_clip(request: Request) -> None:
         def write(container: str, file: Path) -> None:
             counts.append(recoloring.write(file, container, parameters, stages))
 
-        write_together(
-            [
-                (place, path, partial(write, container_of(path, format)))
-                for place, path, format in zip(
-                    places, request.outputs, request.formats(), strict=True
-                )
-            ],
-            request.texts(options, operations),
-        )
+        writers = [
+            (place, path, partial(write, container_of(path, format)))
+            for place, path, format in zip(places, request.outputs, request.formats, strict=True)
+        ]
+        write_together(writers, request.texts(options, operations))
         stages.count("files")
         summary = {
             "outputs": [str(path) for path in request.outputs],

@@ -17,6 +17,7 @@ from rich.progress import (
 )
 
 from clmorph._shared.printable import MESSAGE, printable
+from clmorph.output.save import Output
 
 
 class _StandardError:
@@ -90,6 +91,10 @@ class Stages:
     def marked(self, mark: str) -> Callable[[str, float], None]:
         """Return a progress function that appends a mark to the names of stages."""
         return lambda stage, share: self(stage + mark, share)
+
+    def writing(self, output: Output, share: float) -> None:
+        """Show the share of a file that is written."""
+        self(f"write {output.path.name}", share)
 
     def __call__(self, stage: str, share: float) -> None:
         """Show the share (0 to 1) of a stage that is done, and the share's note, if any."""
