@@ -31,7 +31,7 @@ from clmorph.backends.multi_device import members_of
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.frames.as_measure import FRAME_WEIGHTS, MERGED_POINTS, frame_measure, particle_measure
-from clmorph.frames.filling import is_torn
+from clmorph.frames.render import is_torn
 from clmorph.frames.sequence import check_frame_sequence
 from clmorph.images.resizing import resized
 from clmorph.measures.lift import LUMINANCE

@@ -2,8 +2,8 @@
 
 Seeds move in straight lines. A cell shows its part of a picture, which moves with it as a whole, so
 a frame has neither holes nor blends: first what is around the cell's start in picture A, and from
-the cell's switching time on what is around its end in picture B. Or it has one color, that changes.
-`cells_of_plan` pairs the blocks of two pictures one to one.
+the cell's switching time on what is around its end in picture B. `cells_of_plan` pairs the blocks
+of two pictures one to one.
 """
 
 from __future__ import annotations
@@ -52,8 +52,7 @@ class CellPaths(NamedTuple):
 class Cells:
     """Moving cells between two pictures, (H, W, 3 or 4) each, of any sizes.
 
-    The pictures' colors are in the space of the path; a fourth channel is opacity. With `texture`
-    cells show their parts of the pictures, else one color each: the mean of their part.
+    The pictures' colors are in the space of the path; a fourth channel is opacity.
     """
 
     def __init__(
@@ -62,11 +61,8 @@ class Cells:
         pictures: Sequence[Array],
         canvases: Sequence[Canvas],
         operations: Operations,
-        *,
-        texture: bool = True,
     ) -> None:
-        self.paths, self._operations, self._texture = paths, operations, texture
-        self._canvases = list(canvases)
+        self.paths, self._operations, self._canvases = paths, operations, list(canvases)
         #: Whether frames have opacity.
         self.clear = any(picture.shape[2] == 4 for picture in pictures)
         self._pictures = [
@@ -85,11 +81,8 @@ class Cells:
     def frame(self, t: float, canvas: Canvas) -> Array:
         """Return the frame at time t: (H, W, 3) array or, with opacity, (H, W, 4).
 
-        With texture the frames at both ends are the pictures, on canvases of their own.
+        The frames at both ends are the pictures, on canvases of their own.
         """
-        if not self._texture:
-            colors = self._colors
-            return self._unweighed(between(colors[0], colors[1], t))[self.owners(t, canvas)]
         if t in (0.0, 1.0) and canvas == self._canvases[int(t)]:
             return self._pictures[int(t)].copy()
         begins = np.clip(self.paths.switching, DURATION / 2, 1 - DURATION / 2) - DURATION / 2
@@ -100,7 +93,10 @@ class Cells:
             self._strip(t, canvas, first, owners[first : first + rows].ravel(), later)
             for first in range(0, len(owners), rows)
         ]
-        return self._unweighed(np.concatenate(strips)).reshape(*canvas.shape, -1)
+        found = np.concatenate(strips)
+        if self.clear:
+            found[:, :3] /= np.maximum(found[:, 3:], np.finfo(float).tiny)
+        return found.reshape(*canvas.shape, -1)
 
     def _strip(self, t: float, canvas: Canvas, first: int, owners: Owners, later: Array) -> Array:
         """Return the pixels of rows from `first` on, colors multiplied by opacity: (N, C) array.
@@ -131,32 +127,6 @@ class Cells:
             return self._pictures
         return [np.dstack((each[..., :3] * each[..., 3:], each[..., 3])) for each in self._pictures]
 
-    def _unweighed(self, colors: Array) -> Array:
-        """Divide colors by their opacity: (N, 3) or (N, 4) arrays."""
-        if self.clear:
-            colors[:, :3] /= np.maximum(colors[:, 3:], np.finfo(float).tiny)
-        return colors
-
-    @cached_property
-    def _colors(self) -> list[Array]:
-        """The mean color of each cell at both ends, multiplied by opacity."""
-        found = []
-        for t, picture, canvas, seeds in zip(
-            (0.0, 1.0), self._weighed, self._canvases, self.paths[:2], strict=True
-        ):
-            owners, count = self.owners(t, canvas).ravel(), len(seeds)
-            sizes = np.bincount(owners, minlength=count)
-            sums = [
-                np.bincount(owners, channel, count)
-                for channel in picture.reshape(len(owners), -1).T
-            ]
-            # A cell without a pixel has the color at its seed.
-            means = sampled(picture, canvas.places(seeds))
-            own = sizes > 0
-            means[own] = (np.column_stack(sums) / np.maximum(sizes, 1)[:, None])[own]
-            found.append(means)
-        return found
-
 
 def owners_at(
     starts: Array, ends: Array, t: float, canvas: Canvas, operations: Operations
@@ -180,12 +150,6 @@ def mirrored(places: NDArray[_Number], shape: tuple[int, int]) -> NDArray[_Numbe
         once = np.abs(own[outside]) % period
         own[outside] = np.minimum(once, period - once)
     return found
-
-
-def between(first: Array, last: Array, t: float) -> Array:
-    """Return (1 - t) first + t last, exactly where both are equal and at both ends."""
-    change = last - first
-    return first + t * change if t < 0.5 else last - (1 - t) * change
 
 
 def cells_of_plan(

@@ -9,7 +9,6 @@ mass is dropped, or rounding) fades at its place.
 """
 
 from collections.abc import Callable
-from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -95,14 +94,13 @@ class Details:
 
     def __init__(
         self,
-        operations: Operations,
         measure: Measure,
         missing: Lacking,
         destinations: Array,
         moving: NDArray[np.float64],
         backwards: bool,
     ) -> None:
-        self._operations, self._spacing, self._missing = operations, measure.spacing, missing
+        self._spacing, self._missing = measure.spacing, missing
         n = len(measure)
         self._positions = np.concatenate((measure.positions, destinations))
         here, there = np.arange(n), n + np.arange(n)
@@ -113,25 +111,19 @@ class Details:
         self._links = links[kept].astype(np.uint32)
         self._weights = np.column_stack((weights, weights))[kept]
 
-    def on(self, operations: Operations) -> "Details":
-        """Return the same particles for another device."""
-        other = copy(self)
-        other._operations = operations
-        return other
-
-    def at(self, t: float, canvas: Canvas, width: float) -> Array | float:
+    def at(self, t: float, canvas: Canvas, width: float, operations: Operations) -> Array | float:
         """Return the correction, before it is faded, for a kernel's width in pixels: (H, W, 3)."""
         if not len(self._links):
             return 0.0
         colors = np.tile(self._missing.at(width).reshape(-1, 3), (2, 1))
         spacing = np.full(len(colors), self._spacing)
-        particles = self._operations.upload_particles(
+        particles = operations.upload_particles(
             np.column_stack((self._positions, colors, spacing)), self._links, self._weights
         )
         pitch = max(1e-3, self._spacing * 0.5 * sum(canvas.scale))
         sigma = NARROW * pitch
-        splats = self._operations.advect(particles, t, canvas.scale, canvas.center)
-        numerator, denominator = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
+        splats = operations.advect(particles, t, canvas.scale, canvas.center)
+        numerator, denominator = operations.splat(splats, canvas.shape, sigma, CUT * sigma)
         # Where pixels have moved apart, the correction is weaker than that of a uniform spread.
         even = kernel_sum(sigma) / pitch**2
         return numerator / np.maximum(denominator, even)[..., None]
@@ -151,20 +143,15 @@ class EndCorrection:
         self._details, self._share = details, share
         self._rest: list[_Rest | None] = [None, None]
 
-    def on(self, operations: Operations) -> "EndCorrection":
-        """Return the same correction for another device."""
-        source, target = (None if one is None else one.on(operations) for one in self._details)
-        other = EndCorrection((source, target), self._share)
-        other._rest = self._rest
-        return other
-
-    def moving(self, t: float, canvas: Canvas, width: float) -> Array | float:
+    def moving(
+        self, t: float, canvas: Canvas, width: float, operations: Operations
+    ) -> Array | float:
         """Return the correction of the colors at time t, in the space of the path."""
         total: Array | float = 0.0
         share = self._share(t)
         for end, details in zip(((1 - t), t), self._details, strict=True):
             if details is not None and end * share > 0:
-                total = total + end * share * details.at(t, canvas, width)
+                total = total + end * share * details.at(t, canvas, width, operations)
         return total
 
     def set_rest(self, end: int, missing: Array) -> None:
@@ -194,7 +181,6 @@ class EndCorrection:
 
 
 def make_details(
-    operations: Operations,
     measures: tuple[Measure, Measure],
     plan: Plan | Barycentric,
     missing: tuple[Lacking, Lacking],
@@ -222,5 +208,5 @@ def make_details(
             moving = np.ones_like(moving)
         elif unmatched == "drop":
             moving = (moving > 0).astype(float)
-        result.append(Details(operations, measure, missing[end], there, moving, backwards=end == 1))
+        result.append(Details(measure, missing[end], there, moving, backwards=end == 1))
     return result[0], result[1]

@@ -125,7 +125,7 @@ def _figure(around: _Bool, end: End) -> Figure:
         pure[rim] = shares_in_mixtures(end.colors, ground, rim) >= PURE
         pure = pure if pure.any() else inside
         edge = np.abs(distance) <= 1
-        rows, columns = _nearest(pure)
+        rows, columns = nearest(pure)
         covered = _covered(end.colors[edge], end.colors[rows[edge], columns[edge]], ground)
         mixed = (covered > 0) & (covered < 1)
         distance[edge] = np.where(mixed, covered - 0.5, distance[edge])
@@ -158,10 +158,10 @@ def _covered(colors: Array, figure: Array, ground: Array) -> Array:
 
 def beyond(image: NDArray[_Real], pure: _Bool) -> NDArray[_Real]:
     """Return an image (H, W, C) whose figure is continued over its edge and over the ground."""
-    return image if pure.all() else image[_nearest(pure)]
+    return image if pure.all() else image[nearest(pure)]
 
 
-def _nearest(pure: _Bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def nearest(pure: _Bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Return the row and the column of the nearest pixel that belongs to a figure, (H, W) each."""
     from scipy.ndimage import distance_transform_edt
 

@@ -16,12 +16,11 @@ from clmorph.frames.endpoints import (
     brief_share,
     ladder,
     make_details,
-    share,
 )
 from clmorph.frames.ends import ends_of
+from clmorph.frames.growth import take_after
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.layers import Layers
-from clmorph.frames.opacity import alpha_particles, opacity
 from clmorph.frames.particles import Particles, with_ground
 from clmorph.frames.render import Sums, Widths, render
 from clmorph.frames.sprites import Sprites
@@ -32,6 +31,12 @@ from clmorph.transport.plan import Plan
 
 #: Blocks along the longer side of a mosaic.
 MOSAIC = 32
+#: The share to which coverage may fall at t = 1/2 before opacity falls: particles never spread
+#: uniformly, and this alone must not be visible.
+THINNEST = 0.5
+#: Cracks up to twice this share of the canvas's longer side are closed: where particles part, the
+#: background would show as scratches.
+CRACK = 0.015
 #: The opacity below which a pixel is invisible in 8 bits.
 UNSEEN = 1 / 1024
 
@@ -64,21 +69,12 @@ class FrameRenderer:
         if detail == "particles" and endpoints == "exact" and opaque:
             particles = with_ground(particles, source, target)
         self._particles = particles
-        self._kernel_width, self._operations = kernel_width, operations
-        self._endpoints, self._unmatched, self._detail = endpoints, unmatched, detail
+        self._kernel_width, self._endpoints, self._unmatched = kernel_width, endpoints, unmatched
+        #: The backend that renders the frames, and what draws them, see `options.Detail`.
+        self.operations, self.detail = operations, detail
         self._pictures, self._ends = pictures, ends_of((source, target), pictures)
         #: Time and opacity of the frame that was rendered last.
         self._last_opacity: tuple[float, NDArray[np.float64]] | None = None
-
-    @property
-    def operations(self) -> Operations:
-        """The backend that renders the frames."""
-        return self._operations
-
-    @property
-    def detail(self) -> str:
-        """What draws the frames, see `clmorph.frames.options.Detail`."""
-        return self._detail
 
     def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
         """Return a renderer of the same morph on another device.
@@ -87,14 +83,14 @@ class FrameRenderer:
         """
         other = FrameRenderer(
             *self._measures, self._plan, self._given, self._kernel_width, operations,
-            self._endpoints, self._unmatched, self._detail, self._pictures,
+            self._endpoints, self._unmatched, self.detail, self._pictures,
         )  # fmt: skip
         other._like = like
         return other
 
     def prepare(self) -> None:
         """Compute what all frames share, which otherwise the first frame does."""
-        _ = self._correction, self.layers, self._cells, self._sprites
+        _ = self._correction, self._moving
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t."""
@@ -103,7 +99,7 @@ class FrameRenderer:
 
     def frame(self, t: float) -> NDArray[np.floating]:
         """Render the frame at time t: (H, W, 3) or, with opacity, (H, W, 4) array."""
-        if t in (0.0, 1.0) and self.layers is not None and self.layers.exact:
+        if t in (0.0, 1.0) and self._is_exact:
             return self._ends[int(t)].colors
         picture = self._picture(t, self._correction)
         if self._correction is not None:
@@ -120,25 +116,20 @@ class FrameRenderer:
         # Holes are not filled where the frame is invisible.
         fill = True if self._alpha_particles is None else self._opacity(t) > UNSEEN
         mass = self._particles.mass(t)
-        return render(self._operations, self._uploaded, mass, t, canvas, widths, fill=fill)
-
-    @cached_property
-    def _uploaded(self) -> Any:
-        return self._upload(self._particles)
+        return render(self.operations, self._uploaded[0], mass, t, canvas, widths, fill=fill)
 
     @cached_property
     def _alpha_particles(self) -> Particles | None:
         return alpha_particles(*self._measures, self._plan, self._particles)
 
     @cached_property
-    def _uploaded_alpha(self) -> Any:
-        assert self._alpha_particles is not None  # the caller has checked it
-        return self._upload(self._alpha_particles)
-
-    def _upload(self, particles: Particles) -> Any:
-        return self._operations.upload_particles(
-            particles.table, particles.links, particles.weights
-        )
+    def _uploaded(self) -> list[Any]:
+        """Handles of the particles and, if there is opacity, of those of areas and opacity."""
+        return [
+            self.operations.upload_particles(each.table, each.links, each.weights)
+            for each in (self._particles, self._alpha_particles)
+            if each is not None
+        ]
 
     def _opacity(self, t: float) -> NDArray[np.float64]:
         """Return the opacity of the frame at t, without correction of the ends: (H, W) array."""
@@ -148,7 +139,7 @@ class FrameRenderer:
         assert self._alpha_particles is not None
         area, canvas = self._alpha_particles.mass(t), self.canvas(t)
         sums = render(
-            self._operations, self._uploaded_alpha, area, t, canvas,
+            self.operations, self._uploaded[1], area, t, canvas,
             self._kernel_width.widths(t, canvas), fill=False,
         )  # fmt: skip
         opaque = opacity(sums, area, t)
@@ -158,60 +149,53 @@ class FrameRenderer:
     def _picture(self, t: float, correction: EndCorrection | None) -> NDArray[np.floating]:
         """Return colors and, if there is one, opacity, before the resting correction is added."""
         canvas = self.canvas(t)
-        if self.layers is not None:
-            return self.layers.frame(t, canvas)
-        if self._cells is not None:
-            shown = self._cells.frame(t, canvas)
+        if self._moving is not None:
+            shown = self._moving.frame(t, canvas)
+            if not isinstance(self._moving, Cells):
+                return shown
             colors = from_space(shown[..., :3], self._particles.path_space)
             return np.clip(np.dstack((colors, shown[..., 3:])), 0.0, 1.0)
-        if self._sprites is not None:
-            return self._sprites.frame(t, canvas)
         colors = self.sums(t).colors
         if correction is not None:
-            colors = colors + correction.moving(t, canvas, self._kernel_width.at(t, canvas))
+            width = self._kernel_width.at(t, canvas)
+            colors = colors + correction.moving(t, canvas, width, self.operations)
         picture = from_space(colors, self._particles.path_space)
         if self._alpha_particles is None:
             return picture
         return np.dstack((picture, self._opacity(t)))
 
     @cached_property
+    def _moving(self) -> Layers | Cells | Sprites | None:
+        """What moves and is drawn in place of the particles; None if these are."""
+        if self._like is not None:
+            moving = self._like._moving
+            return None if moving is None else moving.on(self.operations)
+        canvases = self.canvas(0.0), self.canvas(1.0)
+        if self.detail == "layers":
+            return Layers(self._ends, self._measures, self._particles, canvases, self.operations)
+        if self.detail == "pixels":
+            return Sprites(self._measures, self._particles, self.operations)
+        if self.detail == "cells":
+            space = self._particles.path_space
+            pictures = [
+                np.dstack(
+                    (to_space(end.colors, space), *([] if end.alpha is None else [end.alpha]))
+                )
+                for end in self._ends
+            ]
+            paths = cells_of_plan(*self._measures, self._plan, MOSAIC)
+            return Cells(paths, pictures, canvases, self.operations)
+        return None
+
+    @property
     def layers(self) -> Layers | None:
-        """The layers of both pictures; None if particles draw the frames."""
-        if self._detail != "layers":
-            return None
-        if self._like is not None:
-            layers = self._like.layers
-            return None if layers is None else layers.on(self._operations)
-        return Layers(
-            self._ends, self._measures, self._particles, (self.canvas(0.0), self.canvas(1.0)),
-            self._operations,
-        )  # fmt: skip
+        """The layers of both pictures; None if something else draws the frames."""
+        return self._moving if isinstance(self._moving, Layers) else None
 
-    @cached_property
-    def _sprites(self) -> Sprites | None:
-        """The parts of sprites, whole pixels of which move; None if something else is drawn."""
-        if self._detail != "pixels":
-            return None
-        if self._like is not None:
-            sprites = self._like._sprites
-            return None if sprites is None else sprites.on(self._operations)
-        return Sprites(self._measures, self._particles, self._operations)
-
-    @cached_property
-    def _cells(self) -> Cells | None:
-        """The moving cells of both pictures; None if something else is drawn."""
-        if self._detail != "cells":
-            return None
-        if self._like is not None:
-            cells = self._like._cells
-            return None if cells is None else cells.on(self._operations)
-        space = self._particles.path_space
-        pictures = []
-        for end in self._ends:
-            opacity = [] if end.alpha is None else [end.alpha[..., None]]
-            pictures.append(np.dstack((to_space(end.colors, space), *opacity)))
-        paths = cells_of_plan(*self._measures, self._plan, MOSAIC)
-        return Cells(paths, pictures, [self.canvas(0.0), self.canvas(1.0)], self._operations)
+    @property
+    def _is_exact(self) -> bool:
+        """Whether the first and the last frame are the pictures, without a correction."""
+        return self.layers is not None and self.layers.exact
 
     @cached_property
     def _correction(self) -> EndCorrection | None:
@@ -219,17 +203,16 @@ class FrameRenderer:
         if self._endpoints == "paper":
             return None
         if self._like is not None:
-            correction = self._like._correction
-            return None if correction is None else correction.on(self._operations)
-        if self.layers is not None and self.layers.exact:
+            return self._like._correction
+        if self._is_exact:
             return None
-        layered = any((self.layers, self._cells, self._sprites))
-        correction = EndCorrection((None, None), brief_share if layered else share)
-        if not layered:
+        if self._moving is None:
             lacking = self._lacking(0.0), self._lacking(1.0)
             correction = EndCorrection(
-                make_details(self._operations, self._measures, self._plan, lacking, self._unmatched)
+                make_details(self._measures, self._plan, lacking, self._unmatched)
             )
+        else:
+            correction = EndCorrection((None, None), brief_share)
         for number, end in enumerate(self._ends):
             picture = self._picture(float(number), correction)
             rest = end.colors - picture[..., :3]
@@ -249,3 +232,67 @@ class FrameRenderer:
         own = self._kernel_width.widths(end, self.canvas(end))
         frames = [self.sums(end, own._replace(sigma=width)).colors for width in widths]
         return Lacking(widths, wanted - np.array(frames))
+
+
+def alpha_particles(
+    source: Measure, target: Measure, plan: Plan | Barycentric, moving: Particles
+) -> Particles | None:
+    """Return area and opacity of the plan's particles, as particles; None if all is opaque.
+
+    They are particles on the same paths, and resting particles at opaque pixels without mass. Their
+    masses are areas, whose sum is at most 1 at both ends, and their first color is opacity.
+    """
+    if source.alpha is None and target.alpha is None:
+        return None
+    n = len(source)
+    alphas = [
+        np.ones(len(measure)) if measure.alpha is None else measure.alpha
+        for measure in (source, target)
+    ]
+    # A particle covers the same share of its pixel's area as it has of its mass.
+    per_mass = [
+        np.divide(1.0 / len(m), m.weights, out=np.zeros(len(m)), where=m.weights > 0)
+        for m in (source, target)
+    ]
+    if isinstance(plan, Barycentric):
+        arriving = plan.column_mass / max(float(plan.column_mass.sum()), np.finfo(float).tiny)
+        for ends in (alphas, per_mass):
+            ends[1] = np.concatenate((ends[1], np.full(len(plan), ends[1] @ arriving)))
+    table = moving.table.copy()
+    table[:, 2:5] = 0.0
+    known = len(table) - moving.n_grown
+    table[:known, 2] = np.concatenate(alphas)
+    links = moving.links.astype(np.int64)
+    # Mass that grows or shrinks has the opacity of its own pixel all the way.
+    take_after(table[:, 2], links, known)
+    areas = np.zeros_like(moving.weights)
+    # No other particle starts at the target or ends at the source than those that die or are born.
+    starts, stops = links[:, 0] < n, (links[:, 1] >= n) & (links[:, 1] < known)
+    areas[starts, 0] = moving.weights[starts, 0] * per_mass[0][links[starts, 0]]
+    areas[stops, 1] = moving.weights[stops, 1] * per_mass[1][links[stops, 1] - n]
+    for end, measure in enumerate((source, target)):
+        weightless = np.flatnonzero((measure.weights == 0) & (alphas[end][: len(measure)] > 0))
+        place = weightless + end * n
+        links = np.concatenate((links, np.column_stack((place, place))))
+        fading = np.zeros((len(place), 2))
+        fading[:, end] = 1.0 / len(measure)
+        areas = np.concatenate((areas, fading))
+    return Particles(table, links.astype(np.uint32), areas)
+
+
+def opacity(sums: Sums, area: float, t: float) -> NDArray[np.float64]:
+    """Return the opacity of each pixel, with narrow cracks closed: (H, W) array.
+
+    `sums` is a rendering of `alpha_particles` without filled holes, and `area` their total mass at
+    time t.
+    """
+    enough = 1.0 - 4 * t * (1 - t) * (1.0 - THINNEST)
+    covered = np.clip(sums.coverage * area / enough, 0.0, 1.0)
+    opaque = np.asarray(np.clip(sums.colors[..., 0], 0.0, 1.0) * covered)
+    reach = int(CRACK * max(opaque.shape))
+    if reach == 0:
+        return opaque
+    from scipy.ndimage import grey_closing
+
+    side = 2 * reach + 1
+    return np.asarray(grey_closing(opaque, (side, side), mode="nearest"))

@@ -6,11 +6,17 @@ the place that it has followed since the picture's own end (`Operations.follow_p
 has holes or jumps. Where both layers agree (`registration`) they are mixed, which is a warp.
 Elsewhere one of them is seen, and the place changes hands within a short part of the film
 (`switching`), after "Regenerative Morphing" (Shechtman et al., CVPR 2010).
+
+Where the pictures are frames of clips, the fields of a pair belong to its `Moment`. Between two
+moments they are mixed by time, point by point, and so are the places where both pictures agree and
+the times at which places change hands: all of these are continuous, so that nothing jumps where a
+pair is solved.
 """
 
 from __future__ import annotations
 
 from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +31,7 @@ from clmorph.frames.outline import thinness
 from clmorph.frames.particles import Particles
 from clmorph.frames.pictures import MET, Pictures, lightness_of
 from clmorph.frames.registration import PATH_ROUNDS, STEPS, Scene
+from clmorph.frames.resampling import reduced
 from clmorph.frames.switching import switched, switching_times
 from clmorph.measures.measure import Measure
 
@@ -144,3 +151,50 @@ def follow(field: Field, stage: Canvas, operations: Operations) -> Float32:
     return operations.follow_paths(
         field.steps(), affine(stage, field.canvas), stage.shape, STEPS, PATH_ROUNDS
     )
+
+
+class Moment(NamedTuple):
+    """What is known of two moving pictures at one moment; see `Layers`."""
+
+    fields: tuple[Field, ...]
+    agreement: Array
+    times: Array
+
+    @classmethod
+    def of(cls, layers: Layers) -> Moment:
+        """Return what the layers of a pair of frames say."""
+        return cls(tuple(layers.fields), layers.agreement, layers.times)
+
+    def towards(self, other: Moment, share: float) -> Moment:
+        """Return the moment at a share, from 0 to 1, of the time to another one."""
+
+        def mixed(first: Array, second: Array) -> Array:
+            return first + share * (second - first)
+
+        fields = tuple(
+            one._replace(move=mixed(one.move, two.move), change=mixed(one.change, two.change))
+            for one, two in zip(self.fields, other.fields, strict=True)
+        )
+        return Moment(
+            fields, mixed(self.agreement, other.agreement), mixed(self.times, other.times)
+        )
+
+    def frame(
+        self, t: float, pictures: tuple[Array, Array], canvas: Canvas, extent: str, space: str,
+        operations: Operations,
+    ) -> NDArray[np.floating]:  # fmt: skip
+        """Draw two opaque pictures, (H, W, 3) each, on a canvas at the time t of their film."""
+        ends = [End(picture, None, extent) for picture in pictures]
+        drawn = Pictures(ends, (canvas, canvas), None, space, operations)
+        layers = [
+            layer_of(
+                field._replace(guide=reduced(own, field.canvas.shape)),
+                follow(field, drawn.stage, operations), operations,
+            )
+            for field, own in zip(self.fields, drawn.own, strict=True)
+        ]  # fmt: skip
+        second = switched(self.times, self.agreement, t)
+        thin = np.zeros(drawn.stage.shape)  # figures alone are lines
+        return drawn.frame(
+            layers, (t, 1 - t), (1 - t, t), (1 - second, second), self.agreement, thin, canvas
+        )

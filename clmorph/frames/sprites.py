@@ -4,25 +4,35 @@ Pixels with mass are the foreground. Particles are divided into parts by the reg
 which they start and end. A frame shows, in each pixel, the part that is densest there, and the
 background, which stays and mixes the colors of both, where all parts together are thin: the
 foreground's share of the canvas goes linearly from that of the source to that of the target.
+
+The launches of a small part take longer than its sums. So small parts are moved in NumPy, one below
+the other with a gap that no kernel bridges, and one splat draws many of them. A large part is moved
+and drawn by itself.
 """
 
+from collections.abc import Iterator
 from copy import copy
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
+from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.numpy.handles import Splats
 from clmorph.frames.canvas import Canvas
+from clmorph.frames.figures import nearest
 from clmorph.frames.growth import take_after
 from clmorph.frames.particles import Particles
-from clmorph.frames.parts import Parts
+from clmorph.frames.render import CUT, kernel_mean, kernel_sum
 from clmorph.images.color import from_space, to_space
 from clmorph.images.flat_colors import Regions, flat_regions, foreground
 from clmorph.measures.measure import Measure
 
 Array = NDArray[np.float64]
 _Bool = NDArray[np.bool_]
+_Drawn = Iterator[tuple[Array, Array]]
 
 #: Largest number of regions of an image, and kernel width of parts in pixels.
 COLORS, WIDTH = 16, 0.45
@@ -30,6 +40,11 @@ COLORS, WIDTH = 16, 0.45
 SMALLEST = 0.25
 #: Opacity from which a shape counts as opaque.
 OPAQUE = 0.999
+#: The number of particles from which a part is drawn by itself.
+LARGE = 2**12
+#: Pixels and rows that one splat draws at most, if several parts share it: positions are float32,
+#: and are exact to 2^-12 pixels in so many rows.
+LARGEST_SPLAT, MOST_ROWS = 2**22, 2**12
 
 
 class _Side(NamedTuple):
@@ -133,12 +148,12 @@ class Sprites:
             prevails = density > share
             colors[prevails], share[prevails] = mean[prevails], density[prevails]
         known = share > 0
-        return total, colors if known.all() else colors[_nearest(known)]
+        return total, colors if known.all() else colors[nearest(known)]
 
     def _opacity(self, t: float, canvas: Canvas) -> Array:
         """Return the mean opacity of the particles around each pixel: (H, W) array."""
         ((mean, density),) = self._opacities.drawn(t, canvas, WIDTH)
-        return np.clip(mean[..., 0][_nearest(density > 0)], 0.0, 1.0)
+        return np.clip(mean[..., 0][nearest(density > 0)], 0.0, 1.0)
 
     def _ground(self, t: float) -> tuple[Array, float]:
         """Return color and opacity of the background at time t."""
@@ -168,17 +183,99 @@ def _side(measure: Measure) -> _Side:
     return _Side(inside, regions, ground, 0.0 if clear else 1.0)
 
 
-def _nearest(known: _Bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the indices of the nearest known pixel of each pixel."""
-    from scipy.ndimage import distance_transform_edt
-
-    rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return rows, columns
-
-
 def _inside(density: Array, area: float) -> Array:
     """Return 1 for the densest pixels, which cover an area (a share of the canvas), and else 0."""
     found = np.zeros(density.size)
     densest = np.argsort(-density.ravel(), kind="stable")
     found[densest[: max(1, round(area * density.size))]] = 1.0
     return found.reshape(density.shape)
+
+
+class Parts:
+    """Groups of a morph's particles, by their numbers, with ends in a `table` (P, 6)."""
+
+    def __init__(
+        self,
+        operations: Operations,
+        particles: Particles,
+        table: Array,
+        groups: list[NDArray[np.int64]],
+    ) -> None:
+        self._operations, self._table = operations, table
+        self._links, self._weights = particles.links, particles.weights
+        self._large = [group for group in groups if len(group) >= LARGE]
+        self._small = [group for group in groups if len(group) < LARGE]
+        #: All particles' mass at both ends, with which densities are compared.
+        self._mass = particles.weights.sum(axis=0)
+
+    def on(self, operations: Operations) -> "Parts":
+        """Return the same groups for another device."""
+        other = copy(self)
+        other._operations = operations
+        other.__dict__.pop("_uploaded", None)
+        return other
+
+    def drawn(self, t: float, canvas: Canvas, sigma: float) -> _Drawn:
+        """Yield each group's mean color, (H, W, 3), and density, (H, W), at time t.
+
+        The density is relative to an even spread of all mass; `sigma` is in pixels.
+        """
+        even = np.dot((1 - t, t), self._mass) * kernel_sum(sigma) / np.prod(canvas.shape)
+        for handle in self._uploaded:
+            splats = self._operations.advect(handle, t, canvas.scale, canvas.center)
+            sums = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
+            yield kernel_mean(*sums), sums[1] / even
+        if self._small:
+            for sums in self._side_by_side(t, canvas, sigma):
+                yield kernel_mean(*sums), sums[1] / even
+
+    @cached_property
+    def _uploaded(self) -> list[Any]:
+        return [
+            self._operations.upload_particles(self._table, self._links[group], self._weights[group])
+            for group in self._large
+        ]
+
+    def _side_by_side(self, t: float, canvas: Canvas, sigma: float) -> _Drawn:
+        """Yield the numerator and the denominator of each small group."""
+        moving = NumPyOperations()
+        order = np.concatenate(self._small)
+        particles = moving.upload_particles(self._table, self._links[order], self._weights[order])
+        splats = moving.advect(particles, t, canvas.scale, canvas.center)
+        height, width = canvas.shape
+        # Beyond the radius plus a kernel width nothing counts, see `Operations.splat`.
+        reach = (CUT + 1) * sigma
+        pitch = height + int(np.ceil(reach)) + 1
+        near = np.all(
+            (splats.positions > -reach) & (splats.positions < np.array([width, height]) + reach),
+            axis=1,
+        )
+        group_of = np.repeat(np.arange(len(self._small)), [len(group) for group in self._small])
+        at_once = max(1, min(LARGEST_SPLAT // width, MOST_ROWS) // pitch)
+        for first in range(0, len(self._small), at_once):
+            count = min(at_once, len(self._small) - first)
+            kept = near & (group_of >= first) & (group_of < first + count)
+            down = pitch * (group_of[kept] - first)
+            sums = self._sums(splats, kept, down, (count * pitch, width), sigma)
+            for row in range(0, count * pitch, pitch):
+                yield sums[0][row : row + height], sums[1][row : row + height]
+
+    def _sums(
+        self,
+        splats: Splats,
+        kept: NDArray[np.bool_],
+        down: NDArray[np.int64],
+        shape: tuple[int, int],
+        sigma: float,
+    ) -> tuple[Array, Array]:
+        """Return the sums of some splats, moved down by some pixels."""
+        if not kept.any():
+            return np.zeros((*shape, 3)), np.zeros(shape)
+        positions = splats.positions[kept]
+        positions[:, 1] += down
+        handle = self._operations.upload_splats(
+            positions.astype(np.float32),
+            splats.colors[kept].astype(np.float32),
+            splats.weights[kept].astype(np.float32),
+        )
+        return self._operations.splat(handle, shape, sigma, CUT * sigma)

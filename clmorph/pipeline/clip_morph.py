@@ -19,9 +19,8 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
-from clmorph.frames.carried_layers import Moment
 from clmorph.frames.ends import ends_of
-from clmorph.frames.layers import Layers
+from clmorph.frames.layers import Layers, Moment
 from clmorph.images.pixels import MAX_PIXELS, reduced_shape
 from clmorph.output.playback import eased
 from clmorph.pipeline.clip_frames import Frames, Size

@@ -233,7 +233,7 @@ class Morph(Film):
         the plan (`clmorph.frames.layers`); with "cells" the blocks of both move as wholes
         (`clmorph.frames.cells`), and with "pixels" whole pixels of sprites
         (`clmorph.frames.sprites`). With "particles" a pixel is
-        the weighted mean of Eq. 4 where `coverage` is at least `filling.HOLE_COVERAGE`
+        the weighted mean of Eq. 4 where `coverage` is at least `render.HOLE_COVERAGE`
         (with "local" splatting, and where it is not torn out of its surroundings). Where coverage
         is at most half of that, the kernels' tails would decide, and
         wider kernels fill the pixel instead. Between the two limits both results are mixed. Pixels

@@ -122,24 +122,6 @@ def test_nothing_is_blended_in_space(rng):
         assert mixed <= 0.3
 
 
-def test_cells_of_one_color(any_backend, rng):
-    """They begin with the mean of their block, and end with that of their place."""
-    shape, grid = (12, 18), (4, 6)
-    pictures, canvases = _pair(rng, shape, shape)
-    paths, order = _shuffled(rng, shape, grid)
-    operations = clmorph.get_backend(any_backend)
-    cells = Cells(paths, pictures, canvases, operations, texture=False)
-    means = [
-        picture.reshape(4, 3, 6, 3, 3).mean(axis=(1, 3)).reshape(-1, 3) for picture in pictures
-    ]
-    blocks = _blocks(shape, grid)
-    for t, mean in zip((0.0, 1.0), means, strict=True):
-        np.testing.assert_allclose(cells.frame(t, canvases[0]), mean[blocks], atol=1e-12)
-    wanted = 0.75 * means[0] + 0.25 * means[1][order]
-    owners = cells.owners(0.25, canvases[0])
-    np.testing.assert_allclose(cells.frame(0.25, canvases[0]), wanted[owners], atol=1e-12)
-
-
 def test_transparent_colors_are_not_seen(rng):
     first, second = rng.random((2, 6, 6, 4))
     first[..., :3], second[..., :3] = 0.25, 0.25
@@ -149,11 +131,9 @@ def test_transparent_colors_are_not_seen(rng):
         picture[~clear, 3] = 1.0
     canvas = canvas_at(0.0, (6, 6), (6, 6))
     paths, _ = _shuffled(rng, (6, 6), (3, 3))
-    for texture in (True, False):
-        frame = Cells(paths, (first, second), (canvas, canvas), EXACT, texture=texture).frame(
-            0.37, Canvas((9, 11), (7.0, 7.0))
-        )
-        assert np.abs(frame[frame[..., 3] > 0.01, :3] - 0.25).max() < 1e-9
+    cells = Cells(paths, (first, second), (canvas, canvas), EXACT)
+    frame = cells.frame(0.37, Canvas((9, 11), (7.0, 7.0)))
+    assert np.abs(frame[frame[..., 3] > 0.01, :3] - 0.25).max() < 1e-9
 
 
 def test_cells_on_another_device_are_the_same(device, rng):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import clmorph
-from clmorph.frames import parts as module
+from clmorph.frames import sprites as module
 from clmorph.frames.canvas import canvas_at
-from clmorph.frames.parts import Parts
+from clmorph.frames.sprites import Parts
 
 
 @pytest.mark.small

@@ -11,9 +11,8 @@ from scipy.ndimage import gaussian_filter
 import clmorph
 from clmorph import InputError
 from clmorph.frames.canvas import Canvas, canvas_at
-from clmorph.frames.filling import HOLE_COVERAGE
 from clmorph.frames.kernel_width import KernelWidth, effective_count
-from clmorph.frames.render import Widths, kernel_mean, render
+from clmorph.frames.render import HOLE_COVERAGE, Widths, kernel_mean, render
 
 
 @pytest.mark.parametrize("sides", [(48, 48), (64, 16), (16, 64), (3, 1000), (1, 7)])

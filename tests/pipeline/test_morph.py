@@ -10,8 +10,7 @@ from plain import morph, reference
 
 import clmorph
 from clmorph import InputError, PruningWarning, fit
-from clmorph.frames.filling import HOLE_COVERAGE
-from clmorph.frames.render import uniform_density
+from clmorph.frames.render import HOLE_COVERAGE, uniform_density
 from clmorph.images.pixels import as_rgb
 from clmorph.pipeline.options import PAPER
 
