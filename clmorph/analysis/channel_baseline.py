@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.options import among, specifications
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_number
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
@@ -55,7 +56,7 @@ class ChannelMorph:
     """
 
     shapes: tuple[tuple[int, int], tuple[int, int]]
-    times: NDArray[np.float64]
+    times: Array
     channels: list[tuple[Any, KernelWidth, tuple[float, float]]]
     operations: Operations
     extent: str
@@ -158,7 +159,7 @@ def channel_morph(
     )
 
 
-def _border_share(canvas: Canvas, sigma: float) -> NDArray[np.float64]:
+def _border_share(canvas: Canvas, sigma: float) -> Array:
     """Return the kernel mass on each pixel of a uniform spread over the canvas: (H, W) array."""
     if sigma == 0:
         return np.full(canvas.shape, kernel_sum(sigma))

@@ -3,8 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from clmorph._shared.typing import Array
 from clmorph.transport.displacement import Displacement
 
 #: Colors of Okabe and Ito, which color-blind readers can distinguish; and two grays.
@@ -50,7 +51,7 @@ def show(axes: Any, image: ArrayLike, **options: Any) -> Any:
     )  # fmt: skip
 
 
-def pale(image: ArrayLike, share: float = PALE) -> NDArray[np.float64]:
+def pale(image: ArrayLike, share: float = PALE) -> Array:
     """Return an image mixed with white, so that a drawing over it is visible."""
     return np.asarray(1 - (1 - share) * (1 - np.asarray(image, float)))
 

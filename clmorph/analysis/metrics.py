@@ -9,8 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_choice, check_integer, check_progress, shown
 from clmorph.analysis.film_metrics import (
     FilmMeasures,
@@ -61,7 +62,6 @@ __all__ = [
     "unevenness",
 ]
 
-Array = NDArray[np.float64]
 
 #: The measures with which frames can be compared: the target image, or the particles.
 REFERENCES = ("target", "particles")

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.printable import percent, size_text, time_text
+from clmorph._shared.typing import Array
 from clmorph.measures.measure import Measure
 from clmorph.pipeline.memory import Memory
 from clmorph.transport.displacement import Displacement
@@ -39,7 +39,7 @@ class Marks(NamedTuple):
     #: Shapes (height, width) of these images.
     shapes: Sequence[tuple[int, int]] = ()
     #: (n,) How far the warp misses the partners of landmarks, in pixels of the second image.
-    misses: NDArray[np.float64] = np.zeros(0)
+    misses: Array = np.zeros(0)
     #: What ``landmarks="auto"`` has found; "" if it found nothing or was not asked.
     found: str = ""
 

@@ -1,8 +1,8 @@
 """Lift frames and particles to measures, as the images were, to compare them by transport."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_choice, check_integer, check_number, shown
 from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
@@ -11,8 +11,6 @@ from clmorph.frames.sequence import FrameSequence, check_frame_sequence
 from clmorph.images.color import from_space
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import WeightedPoints
-
-Array = NDArray[np.float64]
 
 #: The rules for the mass of a pixel in a frame's measure: its kernel mass, or equal masses (the
 #: paper).

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from clmorph._shared.typing import Array
 
 
 @dataclass(frozen=True)
@@ -27,14 +28,14 @@ class Canvas:
         x, y = width / self.shape[1], height / self.shape[0]
         return Canvas((height, width), (self.scale[0] * x, self.scale[1] * y))
 
-    def positions(self, first: int = 0, stop: int | None = None) -> NDArray[np.float64]:
+    def positions(self, first: int = 0, stop: int | None = None) -> Array:
         """Return positions (x, y) of some rows' pixels in the common frame: (H, W, 2) array."""
         y, x = np.mgrid[first : self.shape[0] if stop is None else stop, : self.shape[1]]
         # Along a side of one pixel the scale may be 0.
         scale = np.maximum(self.scale, 1e-9)
         return np.stack((x - self.center[0], y - self.center[1]), axis=-1) / scale + 0.5
 
-    def places(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def places(self, positions: Array) -> Array:
         """Return the pixel coordinates (row, column) of positions (..., 2): (2, ...) array."""
         pixels = (positions - 0.5) * self.scale + self.center
         return np.stack((pixels[..., 1], pixels[..., 0]))

@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.fields import sampled
@@ -24,7 +25,6 @@ from clmorph.transport.assignment import assign
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
 
-Array = NDArray[np.float64]
 Owners = NDArray[np.int32]
 
 _Number = TypeVar("_Number", np.intp, np.float64)

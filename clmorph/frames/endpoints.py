@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.growth import grown_ends, mean_destinations
@@ -22,8 +23,6 @@ from clmorph.images.resizing import resized
 from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-
-Array = NDArray[np.float64]
 
 #: Side of the blocks in which a correction that rests is held, or none is.
 BLOCK = 64
@@ -97,7 +96,7 @@ class Details:
         measure: Measure,
         missing: Lacking,
         destinations: Array,
-        moving: NDArray[np.float64],
+        moving: Array,
         backwards: bool,
     ) -> None:
         self._spacing, self._missing = measure.spacing, missing

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from clmorph._shared.typing import AnyArray, Array
 from clmorph.measures.measure import Measure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +14,7 @@ class End:
     """A picture that frames show at one end."""
 
     #: sRGB in [0, 1]: (H, W, 3) array; of large pictures in float32.
-    colors: NDArray[Any]
+    colors: AnyArray
     #: Opacity, (H, W); None if all pixels are opaque.
     alpha: Array | None
     #: How pixels map to positions, see `clmorph.lift`.
@@ -38,7 +33,7 @@ class End:
 
 
 def ends_of(
-    measures: tuple[Measure, Measure], pictures: Sequence[NDArray[Any]] | None = None
+    measures: tuple[Measure, Measure], pictures: Sequence[AnyArray] | None = None
 ) -> tuple[End, End]:
     """Return both ends; opaque pictures, (H, W, 3), can replace the pixels of the measures."""
     if pictures is None:

@@ -13,13 +13,13 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import Operations
 from clmorph.backends.records import LIKE, Affine
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.particles import Particles
 from clmorph.frames.resampling import reduced
 
-Array = NDArray[np.float64]
 _Real = TypeVar("_Real", np.float32, np.float64)
 
 #: Cells and points of a field along the longer side.
@@ -116,7 +116,7 @@ def field_of(
     colors: tuple[NDArray[np.floating], NDArray[np.floating]],
     canvases: tuple[Canvas, Canvas],
     operations: Operations,
-    labels: NDArray[np.int64] | None = None,
+    labels: IntArray | None = None,
     *,
     figure: bool = False,
 ) -> Field:
@@ -187,7 +187,7 @@ def _kept_at_border(move: Array, points: Canvas, other: Canvas) -> Array:
     return kept
 
 
-def _nearest(labels: NDArray[np.int64], shape: tuple[int, ...]) -> Array:
+def _nearest(labels: IntArray, shape: tuple[int, ...]) -> Array:
     """Return the labels at the pixels of a smaller canvas: (h, w) array."""
     rows, columns = (
         np.clip(((np.arange(few) + 0.5) * many / few).astype(int), 0, many - 1)
@@ -223,7 +223,7 @@ def sampled(image: NDArray[np.floating], places: Array) -> Array:
     """Interpolate an image (H, W, C) linearly at pixels (2, ...), constant outside: (..., C)."""
     height, width, channels = image.shape
     flat = image.reshape(-1, channels)
-    sides: list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] = []
+    sides: list[tuple[IntArray, IntArray, Array]] = []
     for place, side in zip(places, (height, width), strict=True):
         inside = np.clip(place, 0, side - 1)
         low = np.minimum(inside.astype(np.int64), max(side - 2, 0))

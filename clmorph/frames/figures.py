@@ -8,13 +8,12 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, BoolArray
 from clmorph.frames.ends import End
+from clmorph.frames.resampling import Float32
 from clmorph.images.flat_colors import LEVEL, foreground, shares_in_mixtures
 from clmorph.measures.measure import Measure
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-_Bool = NDArray[np.bool_]
 _Real = TypeVar("_Real", np.float32, np.float64)
 
 #: Share of the pixels without mass that must have one color, so that they are a ground.
@@ -32,7 +31,7 @@ class Figure(NamedTuple):
     """What stands before the ground of a picture."""
 
     #: Which pixels belong to it alone, (H, W); those of the edge mix it with the ground.
-    pure: _Bool
+    pure: BoolArray
     #: Signed distance from the outline in pixels, positive inside: (H, W) array.
     distance: Float32
     #: Opacity, continued beyond the outline: (H, W) array.
@@ -70,7 +69,7 @@ def figures_of(measures: Sequence[Measure], ends: Sequence[End]) -> list[Figure]
     ]
 
 
-def _within_border(mask: _Bool, others: Sequence[_Bool]) -> _Bool:
+def _within_border(mask: BoolArray, others: Sequence[BoolArray]) -> BoolArray:
     """Return a mask with one more pixel on each side: whether the figure goes on beyond the border.
 
     In a picture that is cut to its figure it ends there; not if all others reach the same place.
@@ -90,7 +89,7 @@ def _within_border(mask: _Bool, others: Sequence[_Bool]) -> _Bool:
     return around
 
 
-def _inside(measure: Measure, end: End) -> _Bool | None:
+def _inside(measure: Measure, end: End) -> BoolArray | None:
     """Return which pixels belong to the figure; None if there is no ground."""
     massive = (measure.weights > 0).reshape(measure.shape)
     if measure.shape != end.shape:
@@ -106,7 +105,7 @@ def _inside(measure: Measure, end: End) -> _Bool | None:
     return massive if flat.mean() >= FLAT_SHARE else None
 
 
-def _figure(around: _Bool, end: End) -> Figure:
+def _figure(around: BoolArray, end: End) -> Figure:
     """Return a figure from a mask with one more pixel on each side."""
     from scipy.ndimage import distance_transform_edt, maximum_filter
 
@@ -156,12 +155,12 @@ def _covered(colors: Array, figure: Array, ground: Array) -> Array:
     return np.where(lies_between, share, 0.0)
 
 
-def beyond(image: NDArray[_Real], pure: _Bool) -> NDArray[_Real]:
+def beyond(image: NDArray[_Real], pure: BoolArray) -> NDArray[_Real]:
     """Return an image (H, W, C) whose figure is continued over its edge and over the ground."""
     return image if pure.all() else image[nearest(pure)]
 
 
-def nearest(pure: _Bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def nearest(pure: BoolArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Return the row and the column of the nearest pixel that belongs to a figure, (H, W) each."""
     from scipy.ndimage import distance_transform_edt
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.cells import Cells, cells_of_plan
@@ -74,7 +75,7 @@ class FrameRenderer:
         self.operations, self.detail = operations, detail
         self._pictures, self._ends = pictures, ends_of((source, target), pictures)
         #: Time and opacity of the frame that was rendered last.
-        self._last_opacity: tuple[float, NDArray[np.float64]] | None = None
+        self._last_opacity: tuple[float, Array] | None = None
 
     def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
         """Return a renderer of the same morph on another device.
@@ -131,7 +132,7 @@ class FrameRenderer:
             if each is not None
         ]
 
-    def _opacity(self, t: float) -> NDArray[np.float64]:
+    def _opacity(self, t: float) -> Array:
         """Return the opacity of the frame at t, without correction of the ends: (H, W) array."""
         last = self._last_opacity
         if last is not None and last[0] == t:
@@ -280,7 +281,7 @@ def alpha_particles(
     return Particles(table, links.astype(np.uint32), areas)
 
 
-def opacity(sums: Sums, area: float, t: float) -> NDArray[np.float64]:
+def opacity(sums: Sums, area: float, t: float) -> Array:
     """Return the opacity of each pixel, with narrow cracks closed: (H, W) array.
 
     `sums` is a rendering of `alpha_particles` without filled holes, and `area` their total mass at

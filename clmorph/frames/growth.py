@@ -6,13 +6,11 @@ does travel comes from, and likewise ends where it goes.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, IntArray
 from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-
-Array = NDArray[np.float64]
 
 #: Share of a pixel's mass that travels, relative to the largest of all pixels up to 1, from which
 #: the pixel counts as one that travels.
@@ -44,7 +42,7 @@ def grown_ends(source: Measure, target: Measure, plan: Plan | Barycentric) -> tu
     return _nearest_end(source, sent, forth), _nearest_end(target, received, back)
 
 
-def take_after(values: Array, links: NDArray[np.int64], known: int) -> None:
+def take_after(values: Array, links: IntArray, known: int) -> None:
     """Give rows that `grown_ends` has added the values of their particles' other ends, in place.
 
     `values` have one row for each row of the particles' table, of which `known` were not added.

@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.options import WIDTH, RenderOptions, Splatting
 from clmorph.frames.render import Widths
 
 
-def effective_count(weights: NDArray[np.float64]) -> float:
+def effective_count(weights: Array) -> float:
     """Return Kish's effective number (sum w)^2 / sum w^2 of particles (Eq. 3); 1 for none."""
     largest = float(weights.max(initial=0.0))
     if largest == 0:
@@ -35,7 +35,7 @@ class KernelWidth:
     splatting: Splatting = "adaptive"
     #: Times and widths in pixels between which sigma(t) is interpolated, in place of Eq. 4. Torn
     #: pixels are then closed, as with "local", so that a narrow width does not cause holes.
-    curve: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    curve: tuple[Array, Array] | None = None
 
     def __post_init__(self) -> None:
         RenderOptions.checked("splatting", self.splatting)

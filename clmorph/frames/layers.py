@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
@@ -31,12 +32,9 @@ from clmorph.frames.outline import thinness
 from clmorph.frames.particles import Particles
 from clmorph.frames.pictures import MET, Pictures, lightness_of
 from clmorph.frames.registration import PATH_ROUNDS, STEPS, Scene
-from clmorph.frames.resampling import reduced
+from clmorph.frames.resampling import Float32, reduced
 from clmorph.frames.switching import switched, switching_times
 from clmorph.measures.measure import Measure
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 #: Points of the stage around a figure in which its edge may be that of the pictures.
 RIM = 2.0

@@ -10,14 +10,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.fields import Field, affine, blurred, sampled, slopes
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
+from clmorph.frames.resampling import Float32
 
 #: Shares of the stage's longer side: the depth below an outline to which it takes its layer along,
 #: beside 1.5 gaps, and the gap that is too far to be closed.

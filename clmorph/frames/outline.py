@@ -13,12 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, BoolArray
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.fields import affine, blurred, slopes
-from clmorph.frames.resampling import Enlarged
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
+from clmorph.frames.resampling import Enlarged, Float32
 
 #: Rounds of bisection by which a level is found; pixels of a large frame that are looked at in one.
 ROUNDS, TOGETHER = 40, 1 << 21
@@ -70,7 +68,7 @@ class Outline(NamedTuple):
         half, zero, one = np.float32(0.5), np.float32(0.0), np.float32(1.0)
         return lambda rows: np.clip(half + distance.rows(rows) / edge.rows(rows), zero, one)
 
-    def reached(self, stage: Canvas) -> NDArray[np.bool_]:
+    def reached(self, stage: Canvas) -> BoolArray:
         """Return which points of a stage stand near what is inside: no others show the figure."""
         from scipy.ndimage import maximum_filter
 
@@ -101,7 +99,7 @@ def bounded(distance: Float32, edge: float, far: float) -> Float32:
     return distance
 
 
-def around(some: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def around(some: BoolArray) -> BoolArray:
     """Return some points of a grid with all that are next to them."""
     from scipy.ndimage import maximum_filter
 

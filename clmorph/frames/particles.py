@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, IntArray
 from clmorph._shared.validation import check_number
 from clmorph.errors import InputError
 from clmorph.frames.growth import grown_ends
@@ -59,12 +60,12 @@ class Particles:
     ((72, 6), True)
     """
 
-    table: NDArray[np.float64]
+    table: Array
     links: NDArray[np.uint32]
-    weights: NDArray[np.float64]
+    weights: Array
     path_space: str = "srgb"
     n_grown: int = 0
-    labels: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+    labels: tuple[IntArray, IntArray] | None = None
 
     def __repr__(self) -> str:
         return f"<{len(self)} Particles>"
@@ -73,7 +74,7 @@ class Particles:
         return len(self.links)
 
     @cached_property
-    def _end_masses(self) -> NDArray[np.float64]:
+    def _end_masses(self) -> Array:
         return np.asarray(self.weights.sum(axis=0))
 
     def mass(self, t: float) -> float:
@@ -236,9 +237,7 @@ def with_ground(particles: Particles, source: Measure, target: Measure) -> Parti
     )
 
 
-def _shared_out(
-    moved: NDArray[np.float64], owners: NDArray[np.int64], mass: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _shared_out(moved: Array, owners: IntArray, mass: Array) -> tuple[Array, Array]:
     """Share out the mass that each point moves among its pairs, in proportion to their masses.
 
     The result is `moved`, (N,), but 0 for a point without pairs, and each pair's part of it, (K,).

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.threads import in_order
+from clmorph._shared.typing import AnyArray, Array
 from clmorph.backends.interface import Operations
 from clmorph.backends.records import LayerView
 from clmorph.frames.canvas import Canvas
@@ -25,11 +26,8 @@ from clmorph.frames.fields import CELLS, POINTS, affine, blurred
 from clmorph.frames.figures import Figure, beyond
 from clmorph.frames.moved_layer import Layer, led_to
 from clmorph.frames.outline import FAR, around, bounded, outline_of, thinness
-from clmorph.frames.resampling import Enlarged, reduced
+from clmorph.frames.resampling import Enlarged, Float32, reduced
 from clmorph.images.color import PART, from_space, to_space
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 #: How far the lowest band is drawn towards the mean of both layers; its width as a share of the
 #: longer side, and the pixels along that side by which it is computed.
@@ -469,7 +467,7 @@ def _in_space(colors: NDArray[np.floating], space: str) -> Float32:
     return found
 
 
-def _bands(over: Canvas | NDArray[Any]) -> list[slice]:
+def _bands(over: Canvas | AnyArray) -> list[slice]:
     """Return the rows of a canvas, or of a picture, in parts that take little memory."""
     height, width = over.shape[:2]
     together = max(1, BAND // width)

@@ -14,13 +14,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.fields import Field, affine, blurred, sampled
-
-Array = NDArray[np.float64]
 
 #: Steps of a whole path, and rounds of each.
 STEPS, PATH_ROUNDS = 48, 4

@@ -6,8 +6,8 @@ Pixels that hardly any kernel reaches, the holes of a frame, are filled by wider
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, BoolArray
 from clmorph._shared.validation import check_number, shown
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
@@ -68,12 +68,12 @@ class Sums(NamedTuple):
     """The sums of a frame from which its picture is computed."""
 
     #: Colors in the space of the path, with holes filled: (H, W, 3) array.
-    colors: NDArray[np.float64]
+    colors: Array
     #: Kernel mass of each pixel as a share of that of a uniform spread, before empty pixels are
     #: filled but after torn pixels are closed, if the widths request it: (H, W) array.
-    coverage: NDArray[np.float64]
+    coverage: Array
     #: (H, W) Mass per pixel: kernel mass after filling, divided by the kernel's sum.
-    density: NDArray[np.float64]
+    density: Array
 
 
 def render(
@@ -84,7 +84,7 @@ def render(
     canvas: Canvas,
     widths: Widths,
     *,
-    fill: bool | NDArray[np.bool_] = True,
+    fill: bool | BoolArray = True,
 ) -> Sums:
     """Reconstruct one frame from uploaded particles (Nadaraya-Watson regression, 3.3).
 
@@ -126,9 +126,7 @@ def render(
     return Sums(sums[..., :3], filling.coverage, sums[..., 3])
 
 
-def kernel_mean(
-    numerator: NDArray[np.float64], denominator: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def kernel_mean(numerator: Array, denominator: Array) -> Array:
     """Return numerator, (H, W, 3), / denominator, (H, W), and 0 where the denominator is 0.
 
     The numerator need not be 0 there: each sum of float32 is rounded to 0 by itself.
@@ -139,7 +137,7 @@ def kernel_mean(
     )
 
 
-def neighbor_distances(operations: Operations, splats: Any, canvas: Canvas) -> NDArray[np.float64]:
+def neighbor_distances(operations: Operations, splats: Any, canvas: Canvas) -> Array:
     """Estimate the distance between particles around every pixel: (H, W) array, in pixels.
 
     The estimate uses Kish's effective number (sum w)^2 / sum w^2 over a window around each pixel.
@@ -164,7 +162,7 @@ def kernel_sum(sigma: float) -> float:
     return float(2 * np.pi * sigma**2) if sigma > 0 else 1.0
 
 
-def uniform_density(mass: float, canvas: Canvas, sigma: float) -> NDArray[np.float64]:
+def uniform_density(mass: float, canvas: Canvas, sigma: float) -> Array:
     """Return the kernel mass that each pixel would have if particles were spread uniformly.
 
     The (H, W) array falls towards the border, where kernels extend beyond the canvas.
@@ -196,9 +194,7 @@ class Filling:
     of the wider kernels in the pixels that they have filled.
     """
 
-    def __init__(
-        self, coverage: NDArray[np.float64], closed: bool, where: bool | NDArray[np.bool_]
-    ) -> None:
+    def __init__(self, coverage: Array, closed: bool, where: bool | BoolArray) -> None:
         self._own, self._closed, self._where = coverage, closed, where
         self.coverage = coverage
         self._around = surroundings(coverage) if closed else coverage
@@ -208,7 +204,7 @@ class Filling:
         self._relative = np.zeros_like(coverage)
 
     @property
-    def left(self) -> NDArray[np.float64]:
+    def left(self) -> Array:
         """Share of each pixel that is still to be filled: (H, W) array."""
         return self.wanted - self.given
 
@@ -217,18 +213,14 @@ class Filling:
         """The largest share that is still to be filled."""
         return float(self.left.max())
 
-    def _openness(
-        self, own: NDArray[np.float64], around: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _openness(self, own: Array, around: Array) -> Array:
         """Return the degree to which pixels are holes: 0 at the threshold, 1 at `OPEN` times it."""
-        needed: NDArray[np.float64] | float = HOLE_COVERAGE
+        needed: Array | float = HOLE_COVERAGE
         if self._closed:
             needed = np.maximum(CLOSED_SHARE * around, HOLE_COVERAGE)
         return np.asarray(np.clip((1.0 - own / needed) / (1.0 - OPEN), 0.0, 1.0))
 
-    def fill(
-        self, share: NDArray[np.float64], whole: NDArray[np.bool_] | None = None
-    ) -> NDArray[np.float64]:
+    def fill(self, share: Array, whole: BoolArray | None = None) -> Array:
         """Fill pixels that a wider kernel covers, and return its share of their colors: (H, W).
 
         `share`, (H, W), is the coverage by that kernel; `whole` masks the pixels to fill: others
@@ -258,7 +250,7 @@ class Filling:
         return given
 
 
-def is_torn(coverage: NDArray[np.float64]) -> NDArray[np.bool_]:
+def is_torn(coverage: Array) -> BoolArray:
     """Return which pixels are holes: far less covered than their surroundings, or empty.
 
     Coverage, (H, W), is the kernel mass as a share of that of a uniform spread.
@@ -266,7 +258,7 @@ def is_torn(coverage: NDArray[np.float64]) -> NDArray[np.bool_]:
     return (coverage < HOLE_SHARE * surroundings(coverage)) | (coverage < HOLE_COVERAGE)
 
 
-def surroundings(coverage: NDArray[np.float64]) -> NDArray[np.float64]:
+def surroundings(coverage: Array) -> Array:
     """Return the mean coverage of the surroundings of each pixel: (H, W) array."""
     from scipy.ndimage import gaussian_filter
 

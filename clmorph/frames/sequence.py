@@ -7,6 +7,7 @@ from typing import Any, ClassVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_integer, shown
 from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
@@ -34,7 +35,7 @@ class FrameSequence(Sequence[Frame]):
     plan: Plan | Barycentric
     particles: Particles
     #: Times of the frames, ascending from 0 to 1: (n_frames,) array.
-    times: NDArray[np.float64]
+    times: Array
     kernel_width: KernelWidth
     #: "exact" if the first and the last frame are the images themselves, else "paper".
     endpoints: str

@@ -5,6 +5,7 @@ from collections.abc import Generator
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.multi_device import members_of, turns
 from clmorph.backends.threads import results_in_order
 from clmorph.frames.canvas import Canvas
@@ -21,7 +22,7 @@ class SpreadRenderer:
     the correction of the ends that all devices use.
     """
 
-    def __init__(self, renderer: FrameRenderer, times: NDArray[np.float64]) -> None:
+    def __init__(self, renderer: FrameRenderer, times: Array) -> None:
         first, *others = members_of(renderer.operations)
         self._first = renderer if not others else renderer.on(first)
         self._renderers = [self._first, *(renderer.on(each, self._first) for each in others)]

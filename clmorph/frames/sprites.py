@@ -16,8 +16,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, BoolArray, IntArray
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.numpy.handles import Splats
@@ -30,8 +30,6 @@ from clmorph.images.color import from_space, to_space
 from clmorph.images.flat_colors import Regions, flat_regions, foreground
 from clmorph.measures.measure import Measure
 
-Array = NDArray[np.float64]
-_Bool = NDArray[np.bool_]
 _Drawn = Iterator[tuple[Array, Array]]
 
 #: Largest number of regions of an image, and kernel width of parts in pixels.
@@ -50,7 +48,7 @@ LARGEST_SPLAT, MOST_ROWS = 2**22, 2**12
 class _Side(NamedTuple):
     """One image: foreground (H, W), its regions, and the background's color and opacity."""
 
-    inside: _Bool
+    inside: BoolArray
     regions: Regions
     ground: Array
     ground_alpha: float
@@ -117,9 +115,7 @@ class Sprites:
         )
         return np.concatenate((mixed, total), axis=2)
 
-    def _divided(
-        self, measures: tuple[Measure, Measure], particles: Particles
-    ) -> list[NDArray[np.int64]]:
+    def _divided(self, measures: tuple[Measure, Measure], particles: Particles) -> list[IntArray]:
         """Return the particles of each part, by number; particles that rest have their own."""
         n, m = map(len, measures)
         start, end = particles.links.astype(np.int64).T
@@ -199,7 +195,7 @@ class Parts:
         operations: Operations,
         particles: Particles,
         table: Array,
-        groups: list[NDArray[np.int64]],
+        groups: list[IntArray],
     ) -> None:
         self._operations, self._table = operations, table
         self._links, self._weights = particles.links, particles.weights
@@ -263,8 +259,8 @@ class Parts:
     def _sums(
         self,
         splats: Splats,
-        kept: NDArray[np.bool_],
-        down: NDArray[np.int64],
+        kept: BoolArray,
+        down: IntArray,
         shape: tuple[int, int],
         sigma: float,
     ) -> tuple[Array, Array]:

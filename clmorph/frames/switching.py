@@ -10,16 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.enlarging import enlarged
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.backends.records import LIKE
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.fields import CELLS, LIKE_CELLS, SIGMA, SIGMA_FINE, blurred, slopes
 from clmorph.frames.resampling import reduced
-
-Array = NDArray[np.float64]
 
 #: Share of the film within which a place changes hands.
 DURATION = 0.1

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import AnyArray
 from clmorph.output.options import FrameStyle
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 ENLARGED = 1.25
 
 
-def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tuple[int, ...]]:
+def in_time(shapes: Iterable[tuple[int, ...]], times: AnyArray) -> list[tuple[int, ...]]:
     """Return frames' shapes in the order of the morph's time, even if it is shown in reverse."""
     shapes = list(shapes)
     return [shapes[index] for index in np.argsort(times, kind="stable")]

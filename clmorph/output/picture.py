@@ -14,7 +14,7 @@ from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import is_path
 from clmorph.errors import OutputError
 from clmorph.images.pixels import as_pixels, as_rgb, to_bytes
-from clmorph.output.formats.limits import check_sides, encoding
+from clmorph.output.formats.format import check_sides, encoding
 from clmorph.output.formats.webp import LONGEST_SIDE, LOSSLESS_EFFORT, as_exif
 from clmorph.output.metadata import (
     IMAGE_DESCRIPTION,

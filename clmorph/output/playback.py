@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, BoolArray
 from clmorph._shared.validation import check_number
 from clmorph.errors import InputError
 from clmorph.output.options import FPS, Ease, Loop, PlaybackOptions
@@ -15,7 +15,7 @@ from clmorph.output.options import FPS, Ease, Loop, PlaybackOptions
 SMOOTH = 30
 
 
-def eased(times: NDArray[np.float64], ease: Ease) -> NDArray[np.float64]:
+def eased(times: Array, ease: Ease) -> Array:
     """Return the times of the morph that frames at even times show; 0 and 1 are unchanged."""
     PlaybackOptions.checked("ease", ease)
     if ease == "smooth":
@@ -42,7 +42,7 @@ class Motion:
 
     @classmethod
     def lasting(
-        cls, duration: float, holds: NDArray[np.bool_], hold: float = PlaybackOptions.hold,
+        cls, duration: float, holds: BoolArray, hold: float = PlaybackOptions.hold,
         loop: Loop = PlaybackOptions.loop,
     ) -> "Motion":  # fmt: skip
         """Return the motion whose one round takes `duration` seconds, with the holds at `holds`."""
@@ -79,13 +79,13 @@ class Motion:
         there = list(range(n_frames))
         return there + there[-2:0:-1] if self.loop == "ping-pong" else there
 
-    def played(self, holds: NDArray[np.bool_]) -> list[tuple[int, float]]:
+    def played(self, holds: BoolArray) -> list[tuple[int, float]]:
         """Return the frames of one round and their seconds; `holds` (n,) marks the pictures."""
         even = 1.0 / self.fps
         return [(index, even + self.hold * holds[index]) for index in self.order(len(holds))]
 
 
-def motion_of(options: PlaybackOptions, holds: NDArray[np.bool_]) -> Motion:
+def motion_of(options: PlaybackOptions, holds: BoolArray) -> Motion:
     """Return the motion that options ask for; `holds` (n,) marks the frames that are pictures."""
     if options.duration is not None:
         return Motion.lasting(options.duration, holds, options.hold, options.loop)
@@ -100,7 +100,7 @@ def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:
     return [max(1, int(units)) for units in np.diff(ends, prepend=0)]
 
 
-def held_frames(n_images: int, n_frames: int) -> NDArray[np.bool_]:
+def held_frames(n_images: int, n_frames: int) -> BoolArray:
     """Return which frames of a chain, neighbors sharing one, are pictures: (n,) array of bool."""
     holds = np.zeros((n_images - 1) * (n_frames - 1) + 1, bool)
     holds[:: n_frames - 1] = True

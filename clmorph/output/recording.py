@@ -1,29 +1,37 @@
 """Rendered frames of a morph or of a chain of morphs, from which files are written."""
 
+import io
+import tempfile
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.items import MadeItems
+from clmorph._shared.items import Items, MadeItems
+from clmorph._shared.printable import reason_of
 from clmorph._shared.progress import Share, StageProgress
+from clmorph._shared.staging import staging_folder
+from clmorph._shared.typing import AnyArray, Array, BoolArray
+from clmorph.errors import OutputError
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
 from clmorph.output.framing import Framing, in_time
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion
-from clmorph.output.spool import Spool
+
+#: The largest number of bytes of frames in memory; beyond it they go to a temporary file.
+IN_MEMORY = 128 * 1024**2
 
 
 class Drawn(Protocol):
     """Frames that are drawn one after the other: a morph, or a leg of a path through mixes."""
 
     @property
-    def times(self) -> NDArray[np.float64]:
+    def times(self) -> Array:
         """The times of the frames, ascending from 0 to 1."""
 
     def iter_frames(self, first: int = 0) -> Generator[NDArray[np.float32], None, None]:
@@ -36,12 +44,12 @@ class Recording:
 
     #: (H, W, 3) or (H, W, 4), uint8 or floats in [0, 1], each of its own size, in the order of
     #: playback.
-    frames: Sequence[NDArray[Any]]
+    frames: Sequence[AnyArray]
     shapes: list[tuple[int, ...]]
     #: From 0 to the number of morphs; descending if reversed.
-    times: NDArray[np.float64]
+    times: Array
     #: Whether a frame is one of the pictures, and so is shown longer.
-    holds: NDArray[np.bool_]
+    holds: BoolArray
     motion: Motion
     #: Whether all pictures are pixel art.
     pixelated: bool = False
@@ -116,3 +124,68 @@ def recorded(
             backwards if reverse else spool, shapes[::step], np.array(times)[::step],
             np.array(holds)[::step], motion, pixelated, dict(parameters or {}), kept,
         )  # fmt: skip
+
+
+class Spool(Items[AnyArray]):
+    """A sequence of arrays of one dtype, for a `with` block: a few in memory, more in a file."""
+
+    def __init__(self, dtype: Any, folder: Path | None = None) -> None:
+        self._dtype = np.dtype(dtype)
+        self._folder = folder
+        self._stack = ExitStack()
+        self._file: IO[bytes] = io.BytesIO()
+        self._places: list[tuple[int, tuple[int, ...]]] = []
+
+    def append(self, array: AnyArray) -> None:
+        """Add an array of the spool's dtype."""
+        if array.dtype != self._dtype:
+            raise TypeError(f"an array of {array.dtype} in a spool of {self._dtype}")
+        with _disk_errors():
+            offset = self._file.seek(0, 2)
+            if isinstance(self._file, io.BytesIO) and offset + array.nbytes > IN_MEMORY:
+                self._file = self._on_disk(self._file)
+            self._file.write(np.ascontiguousarray(array).tobytes())
+        self._places.append((offset, array.shape))
+
+    def _on_disk(self, memory: io.BytesIO) -> IO[bytes]:
+        """Return a temporary file with the bytes from memory, positioned at its end."""
+        # Where files need names, the next run removes the folder of a killed process.
+        place = self._folder and self._stack.enter_context(staging_folder(self._folder))
+        file = tempfile.TemporaryFile(dir=place)  # noqa: SIM115 (the stack closes it)
+        self._stack.callback(file.close)
+        file.write(memory.getbuffer())
+        return file
+
+    def shape(self, index: int) -> tuple[int, ...]:
+        """Return an array's shape without reading it."""
+        return self._places[index][1]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def _item(self, index: int) -> AnyArray:
+        """Read an array."""
+        offset, shape = self._places[index]
+        with _disk_errors():  # written data may reach the disk only now
+            self._file.seek(offset)
+            data = self._file.read(int(np.prod(shape)) * self._dtype.itemsize)
+        return np.frombuffer(data, self._dtype).reshape(shape)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with suppress(OSError):  # the disk may be full again, but the data are discarded anyway
+            self._stack.close()
+
+
+@contextmanager
+def _disk_errors() -> Iterator[None]:
+    """Raise OutputError for an error of the disk."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"frames cannot be kept on disk until they are written ({reason_of(error)}): "
+            "free some space, or take fewer or smaller frames"
+        ) from error

@@ -16,7 +16,7 @@ from clmorph.clips.sound import SoundTrack
 from clmorph.clips.writing import CONTAINERS, SOUND_RATE, ClipWriter, even
 from clmorph.errors import OutputError
 from clmorph.images.pixels import to_bytes
-from clmorph.output.formats.limits import check_sides, encoding
+from clmorph.output.formats.format import check_sides, encoding
 from clmorph.output.metadata import as_text
 from clmorph.output.save import Output
 from clmorph.pipeline.clip_morph import ClipFilm

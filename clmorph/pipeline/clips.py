@@ -22,7 +22,7 @@ from clmorph.clips.writing import CONTAINERS, ClipWriter, even
 from clmorph.errors import InputError
 from clmorph.images.looks import Lut
 from clmorph.images.pixels import MAX_PIXELS, as_pixels
-from clmorph.output.formats.limits import check_sides, encoding
+from clmorph.output.formats.format import check_sides, encoding
 from clmorph.output.formats.video import check_video
 from clmorph.output.metadata import as_text, checked_parameters
 from clmorph.pipeline.documentation import documented

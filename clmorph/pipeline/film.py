@@ -11,7 +11,7 @@ from clmorph.frames.canvas import Canvas
 from clmorph.frames.render import Sums, Widths, check_widths
 from clmorph.frames.sequence import FrameSequence
 from clmorph.measures.measure import Measure
-from clmorph.output.html.notebook import repr_html
+from clmorph.output.html.summary import repr_html
 from clmorph.output.save import save
 
 

@@ -28,9 +28,8 @@ from clmorph.output.framing import Framing
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion, held_frames
 from clmorph.output.provenance import read_parameters
-from clmorph.output.recording import Recording
+from clmorph.output.recording import Recording, Spool
 from clmorph.output.save import FORMATS, Output, save, write_all
-from clmorph.output.spool import Spool
 
 #: The least peak signal-to-noise ratio of lossy files, in decibels, on small photographs: of
 #: GIF and WebP at the frames' own size, where WebP halves the resolution of hues; of videos four
@@ -734,7 +733,7 @@ def test_frames_are_not_held(tmp_path, monkeypatch, name):
     render, read = clmorph.Morph.frame, Spool.__getitem__
     monkeypatch.setattr(clmorph.Morph, "frame", lambda self, t: watched(render(self, t)))
     monkeypatch.setattr(Spool, "__getitem__", lambda self, index: watched(read(self, index)))
-    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 1000)
+    monkeypatch.setattr("clmorph.output.recording.IN_MEMORY", 1000)
     save(result, tmp_path / name, loop="ping-pong")
     assert len(most) >= 40
     assert max(most) <= 3 + MOST_THREADS

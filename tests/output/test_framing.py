@@ -11,7 +11,7 @@ from clmorph.output.framing import (
     in_time,
 )
 from clmorph.output.options import as_canvas
-from clmorph.output.spool import Spool
+from clmorph.output.recording import Spool
 
 SHAPES = [(6, 8, 3), (9, 8, 3), (12, 8, 3)]
 
@@ -134,7 +134,7 @@ def test_what_is_pixel_art(rng):
 def test_a_spool_gives_back_what_it_took(rng, tmp_path, monkeypatch):
     arrays = [rng.random((n, 3)).astype(np.float32) for n in (1, 4, 2)]
     for limit in (10, 1 << 20):  # on disk, in memory
-        monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", limit)
+        monkeypatch.setattr("clmorph.output.recording.IN_MEMORY", limit)
         with Spool(np.float32, tmp_path) as spool:
             for array in arrays:
                 spool.append(array)

@@ -26,8 +26,8 @@ from clmorph._shared.files import atomic_path, atomic_paths, check_place
 from clmorph._shared.staging import PREFIX, clear_leftovers
 from clmorph.cli.main import main
 from clmorph.errors import InputError, OutputError
+from clmorph.output.recording import Spool
 from clmorph.output.save import FORMATS
-from clmorph.output.spool import Spool
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals, locks and rights of POSIX")
 FEW = ["--frames", "2", "--backend", "numpy", "--solve-size", "4"]
@@ -426,7 +426,7 @@ def test_a_full_disk_leaves_nothing(name, monkeypatch, capfd):
 @posix
 def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
     resource = pytest.importorskip("resource")
-    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("clmorph.output.recording.IN_MEMORY", 64)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (400, before[1]))
     try:
@@ -446,7 +446,7 @@ def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
 
 @posix
 def test_a_spool_has_no_name(monkeypatch):
-    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("clmorph.output.recording.IN_MEMORY", 64)
     with Spool(np.uint8, Path()) as spool:
         spool.append(np.zeros(60, np.uint8))
         assert names() == []  # still in memory
@@ -462,7 +462,7 @@ def test_a_spool_has_no_name(monkeypatch):
 @pytest.mark.parametrize("at", ["frames", "../out"])
 def test_frames_that_wait_beside_a_folder_are_not_in_it(at, monkeypatch, capfd):
     """As on Windows, and on network disks: the file that they wait in has a name."""
-    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("clmorph.output.recording.IN_MEMORY", 64)
     monkeypatch.setattr("tempfile.TemporaryFile", tempfile.NamedTemporaryFile)
     Path(at).mkdir(exist_ok=True)
     assert run("-o", at) == 0, capfd.readouterr().err
@@ -473,7 +473,7 @@ def test_frames_that_wait_beside_a_folder_are_not_in_it(at, monkeypatch, capfd):
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_no_file_is_moved_or_removed_while_it_is_open(name, monkeypatch, capfd):
     """Windows refuses that. Frames wait on the disk, and files replace old ones."""
-    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("clmorph.output.recording.IN_MEMORY", 64)
     monkeypatch.setattr("tempfile.TemporaryFile", tempfile.NamedTemporaryFile)
     refused = refuse_what_is_open(monkeypatch)
     target = f"x{(FORMATS[name].endings or ('',))[0]}"
@@ -683,7 +683,7 @@ def test_no_other_folder_is_needed(morph, monkeypatch):
         raise FileNotFoundError(2, "No usable temporary directory found")
 
     monkeypatch.setattr("tempfile.gettempdir", gettempdir)
-    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("clmorph.output.recording.IN_MEMORY", 64)
     for name in ("x.gif", "x.webp", "x.npz", "x.tif", "x.html", "x.png", "frames", "x.mp4"):
         morph.save(name)
     assert not [name for name in names() if name.startswith(PREFIX)]

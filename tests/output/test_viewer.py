@@ -18,12 +18,16 @@ from clmorph._shared.printable import printable
 from clmorph._shared.threads import MOST_THREADS
 from clmorph.frames.canvas import canvas_at
 from clmorph.images.pixels import to_bytes
-from clmorph.output.html.encoding import QUALITIES, Encoder
-from clmorph.output.html.geometry import frame_boxes
-from clmorph.output.html.notebook import repr_html
-from clmorph.output.html.page import page, read_metadata, write_page
+from clmorph.output.html.page import (
+    QUALITIES,
+    Encoder,
+    frame_boxes,
+    page,
+    read_metadata,
+    write_page,
+)
 from clmorph.output.html.scene import Curve, Scene
-from clmorph.output.html.summary import scene_of
+from clmorph.output.html.summary import repr_html, scene_of
 from clmorph.output.provenance import read_parameters
 
 HOSTILE = '</script><img src="http://127.0.0.1/x" onerror=alert(1)>&amp;\'"\u2028\u00e9\U0001f431\0'

@@ -14,10 +14,9 @@ from plain import morph
 from clmorph._shared.printable import printable
 from clmorph.images.pixels import to_bytes
 from clmorph.measures.landmark_options import check_landmarks, read_landmarks
-from clmorph.output.html.notebook import repr_html
 from clmorph.output.html.page import page
 from clmorph.output.html.scene import Curve, Field, Marks, Scene
-from clmorph.output.html.summary import scene_of
+from clmorph.output.html.summary import repr_html, scene_of
 from clmorph.output.save import save
 
 DESK = {"width": 1280, "height": 800}

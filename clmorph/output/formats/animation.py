@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import BoolArray
 from clmorph.output.playback import whole_units
 from clmorph.output.recording import Recording
 
@@ -28,7 +28,7 @@ def timed_frames(recording: Recording, per_second: int) -> list[tuple[int, int]]
     return [(index, duration) for (index, _), duration in zip(played, units, strict=True)]
 
 
-def box_of(where: NDArray[np.bool_]) -> Box:
+def box_of(where: BoolArray) -> Box:
     """Return the smallest box around the True pixels of (H, W), of one pixel at least."""
     rows, columns = np.flatnonzero(where.any(axis=1)), np.flatnonzero(where.any(axis=0))
     if len(rows) == 0:

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from clmorph._shared.progress import Report, tracked
 from clmorph.output.formats.animation import FASTEST, SIDE, changed, pieces, timed_frames
-from clmorph.output.formats.format import Format
-from clmorph.output.formats.limits import encoding
+from clmorph.output.formats.format import Format, encoding
 from clmorph.output.metadata import as_png_info, read_png
 from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from clmorph._shared.printable import reason_of, size_text
 from clmorph._shared.progress import Report, tracked
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_number, is_path, shown
 from clmorph.errors import InputError
-from clmorph.output.bounded import MAX_HEAD, UNREADABLE, from_text
+from clmorph.output.bounded import MAX_HEAD, UNREADABLE, Arrays, from_text
 from clmorph.output.formats.format import Format
-from clmorph.output.formats.npz import Arrays
 from clmorph.output.formats.solved import RECORD, plan_is_valid, put_together, taken_apart
 from clmorph.output.metadata import as_text
 from clmorph.output.options import FrameStyle
@@ -71,10 +71,10 @@ class Archive:
     """
 
     frames: list[NDArray[np.float32]]
-    times: NDArray[np.float64]
+    times: Array
     parameters: dict[str, Any]
     plans: list[Plan | Barycentric]
-    potentials: list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+    potentials: list[tuple[Array, Array]]
 
     def __repr__(self) -> str:
         return f"<Archive of {len(self.frames)} frames, {len(self.plans)} plans>"

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from clmorph._shared.progress import Report, tracked
 from clmorph._shared.threads import in_order
 from clmorph.output.formats.animation import SIDE, box_of, changed, pieces, timed_frames
-from clmorph.output.formats.format import Format
-from clmorph.output.formats.limits import check_sides, encoding
+from clmorph.output.formats.format import Format, check_sides, encoding
 from clmorph.output.framing import Framing
 from clmorph.output.metadata import as_text, image_head
 from clmorph.output.options import FrameStyle

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from clmorph._shared.progress import Report, tracked
-from clmorph.output.formats.format import SIZES, Format
-from clmorph.output.formats.limits import encoding
+from clmorph.output.formats.format import SIZES, Format, encoding
 from clmorph.output.framing import Framing, in_time
 from clmorph.output.metadata import as_png_info, read_png
 from clmorph.output.options import FrameStyle

@@ -9,7 +9,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from clmorph.output.formats.npz import Arrays
+from clmorph.output.bounded import Arrays
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.divergence import Divergence
 from clmorph.transport.gradient import Gradient

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clmorph._shared.progress import Report, tracked
-from clmorph.output.formats.format import SIZES, Format
-from clmorph.output.formats.limits import encoding
+from clmorph.output.formats.format import SIZES, Format, encoding
 from clmorph.output.metadata import IMAGE_DESCRIPTION, as_png_info, as_text, image_head, read_png
 from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording

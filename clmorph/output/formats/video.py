@@ -9,8 +9,7 @@ import numpy as np
 from clmorph._shared.progress import Report, tracked
 from clmorph.clips.writing import CONTAINERS, ClipWriter
 from clmorph.errors import OutputError
-from clmorph.output.formats.format import Format
-from clmorph.output.formats.limits import check_sides, encoding
+from clmorph.output.formats.format import Format, check_sides, encoding
 from clmorph.output.metadata import as_text
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import whole_units

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from clmorph._shared.progress import Report, Share
 from clmorph.output.bounded import MAX_HEAD, MAX_TEXT
 from clmorph.output.formats.animation import FASTEST, SIDE, timed_frames
-from clmorph.output.formats.format import PACE, SIZES, Format
-from clmorph.output.formats.limits import check_sides, encoding
+from clmorph.output.formats.format import PACE, SIZES, Format, check_sides, encoding
 from clmorph.output.framing import Framing
 from clmorph.output.metadata import IMAGE_DESCRIPTION, as_text
 from clmorph.output.options import FrameStyle

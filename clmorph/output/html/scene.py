@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.errors import InputError
 from clmorph.output.options import FPS, PlaybackOptions
 
@@ -18,7 +19,7 @@ class Curve:
 
     name: str
     unit: str
-    values: NDArray[np.float64]
+    values: Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -26,11 +27,11 @@ class Field:
     """Arrows that travel along the morph, in the common frame."""
 
     #: (K, 2), the start of each arrow: x to the right, y down.
-    positions: NDArray[np.float64]
+    positions: Array
     #: (K, 2), from the start of each arrow to its end.
-    displacement: NDArray[np.float64]
+    displacement: Array
     #: (K,), the mass that each arrow represents, in any unit; None if all are equal.
-    weights: NDArray[np.float64] | None = None
+    weights: Array | None = None
     #: Morph times between which the arrows travel; they are drawn only then.
     begin: float = 0.0
     end: float = 1.0
@@ -42,7 +43,7 @@ class Marks:
 
     #: (n, 2, 2), a point of the first picture and its partner in the second, in pixels of the
     #: pictures as they were given; n can be 0.
-    pairs: NDArray[np.float64]
+    pairs: Array
     #: (height, width) of the pictures as they were given.
     shapes: tuple[tuple[int, int], tuple[int, int]]
     #: Whether the first frame is the second picture.
@@ -57,7 +58,7 @@ class Scene:
     #: Each frame is read once, in order, and not kept.
     frames: Sequence[NDArray[np.uint8]]
     #: Morph time of each frame, ascending: 0 to 1, or 0 to k for a chain of k morphs.
-    times: NDArray[np.float64]
+    times: Array
     fps: float = FPS
     #: Additional seconds for which the first and the last frame are shown.
     hold: float = PlaybackOptions.hold

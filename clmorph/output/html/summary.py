@@ -1,23 +1,30 @@
-"""Build the content of a page from a morph: frames, curves, arrows and parameters."""
+"""Build the content of a page, or of an iframe in a notebook, from a morph."""
 
+import math
+from html import escape
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.items import MadeItems
+from clmorph._shared.typing import Array
 from clmorph.frames.options import BULGING
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
+from clmorph.output.html.page import page
 from clmorph.output.html.scene import Curve, Field, Marks, Scene
 from clmorph.transport.plan import Plan
-
-Array = NDArray[np.float64]
 
 #: Number of arrows along the longer side of the source.
 ARROWS = 24
 #: The least mass of a place that gets an arrow, as a share of the largest mass of a place.
 FAINTEST = 1e-3
+#: The limit of the size of all frames in a notebook's output, in bytes of text.
+NOTEBOOK_BYTES = 8e6
+#: The total number of pixels of all frames above which only some frames are shown.
+NOTEBOOK_PIXELS = 4e6
+#: Height of the frame, in CSS pixels.
+HEIGHT = 640
 
 
 def scene_of(morph: FrameSequence, times: Array | None = None, **more: Any) -> Scene:
@@ -127,3 +134,26 @@ def known_parameters(morph: FrameSequence) -> dict[str, Any]:
 def _short(value: float) -> float | None:
     """Round to six significant digits; return None for NaN and infinity, which JSON lacks."""
     return float(f"{value:.6g}") if np.isfinite(value) else None
+
+
+def repr_html(
+    morph: FrameSequence, *, max_pixels: float = NOTEBOOK_PIXELS, max_bytes: float = NOTEBOOK_BYTES
+) -> str:
+    """Return an iframe with a morph's page and no other access, of some of its frames if many."""
+    count = len(morph.times)
+    pixels = max(math.prod(morph.canvas(t).shape) for t in (0.0, 1.0))
+    shown = min(count, max(2, int(max_pixels // pixels)))
+    chosen = np.unique(np.round(np.linspace(0, count - 1, shown)).astype(int))
+    notes = []
+    if len(chosen) < count:
+        notes.append(
+            f"{len(chosen)} of {count} frames are shown, to keep the notebook small; "
+            "save the morph to a file for all of them."
+        )
+    scene = scene_of(morph, morph.times[chosen], fps=20.0 * len(chosen) / count, notes=notes)
+    text = escape(page(scene, max_bytes=max_bytes))
+    return (
+        f'<iframe srcdoc="{text}" title="{escape(scene.title)}" loading="lazy" '
+        f'sandbox="allow-scripts allow-downloads" '
+        f'style="width:100%;height:{HEIGHT}px;border:0;border-radius:12px"></iframe>'
+    )
