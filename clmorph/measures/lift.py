@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from clmorph._shared.typing import Array, ArrayLike
-from clmorph.backends.arrays import as_floats
+from clmorph.backends.arrays import as_array, as_floats
 from clmorph.backends.interface import MAX_POINTS
 from clmorph.errors import InputError
 from clmorph.images.color import ColorSpace, as_metric, to_space
@@ -145,3 +148,37 @@ def _masses(colors: Array, alpha: Array | None, mass: str) -> Array:
         what = "black" if mass == "luminance" else "transparent"
         raise NoMassError(f"mass={mass!r}: every pixel of the image is {what}, so there is no mass")
     return (masses / total).ravel()
+
+
+def lift_pair(
+    images: tuple[ArrayLike, ArrayLike], *, weights: Any, color_metric: ArrayLike | None,
+    **options: Any,
+) -> tuple[Measure, Measure]:  # fmt: skip
+    """Lift two images with the same options of `lift`.
+
+    The maps (H, W) of mass in `weights` are not normalized. If one of them is None, `mass` gives
+    its distribution, with the total of the other map. A map as `color_metric` belongs to the source
+    alone.
+    """
+    maps = (None, None) if weights is None else weights
+    if not isinstance(maps, tuple | list) or len(maps) != 2:
+        raise InputError(
+            "weights: expected a pair of maps (H, W), one for each image; None in it stands for "
+            "the rule that `mass` names"
+        )
+    metrics: tuple[Any, Any] = None, None
+    if color_metric is not None:
+        metric = as_array("color_metric", color_metric, "an array (3, 3), (H, W, 3, 3) or (H, W)")
+        metrics = metric, metric if metric.shape == (3, 3) else None
+    found = []
+    for letter, image, given, metric in zip("ab", images, maps, metrics, strict=True):
+        try:
+            found.append(lift(image, weights=given, color_metric=metric, **options))
+        except NoMassError as error:
+            raise InputError(str(error).replace("the image", f"image_{letter}")) from None
+    source, target = found
+    if maps[0] is None and maps[1] is not None:
+        source = replace(source, weights=source.weights * (target.mass / source.mass))
+    if maps[1] is None and maps[0] is not None:
+        target = replace(target, weights=target.weights * (source.mass / target.mass))
+    return source, target

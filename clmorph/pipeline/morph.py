@@ -21,7 +21,7 @@ from clmorph.frames.particles import particles
 from clmorph.images.detail import auto_sigma
 from clmorph.measures.landmark_options import AUTO
 from clmorph.measures.landmarks import Guided, guided
-from clmorph.measures.lift_pair import lift_pair
+from clmorph.measures.lift import lift_pair
 from clmorph.measures.measure import Measure
 from clmorph.measures.options import LiftOptions
 from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels

@@ -53,10 +53,6 @@ def cost_matrix(source: MeasureLike, target: MeasureLike) -> Array:
     [[0.03125, 0.28125], [0.03125, 0.03125], [0.28125, 0.03125]]
     """
     source, target = as_measures(source, target)
-    return _cost_matrix(source, target)
-
-
-def _cost_matrix(source: AnyMeasure, target: AnyMeasure) -> Array:
     if len(source) * len(target) > MAX_PAIRS:
         raise InputError(
             f"{len(source)} x {len(target)} pairs are too many for a dense plan: expected at most "
@@ -127,7 +123,7 @@ def sinkhorn(
     epsilon = given.epsilon
     # Delta = rho / (rho + epsilon), the proximal step of the marginal penalty (math: damping)
     damping = [1.0 if np.isinf(value) else value / (value + epsilon) for value in given.rho]
-    cost = _cost_matrix(source, target)
+    cost = cost_matrix(source, target)
     log_a, log_b = _log(source.weights), _log(target.weights)
     # T(g)_i = -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon) (paper, 3.1; math: softmin)
     g = np.zeros(len(target))
@@ -163,11 +159,11 @@ def certificate(
     """
     epsilon = given.epsilon
     a, b = source.weights, target.weights
-    plan = _plan(source, target, f, g, epsilon)
+    plan = _exp(_log_plan(source, target, f, g, epsilon))
     reference = np.outer(a, b)
     dual = -epsilon * (float(plan.sum()) - float(reference.sum()))
     feasible = _feasible(plan, a, b, given)
-    primal = float(np.sum(_cost_matrix(source, target) * feasible))
+    primal = float(np.sum(cost_matrix(source, target) * feasible))
     primal += epsilon * _kullback_leibler(feasible, reference)
     marginal_error = 0.0
     for axis, (potential, weights, rho) in enumerate(zip((f, g), (a, b), given.rho, strict=True)):
@@ -260,16 +256,15 @@ def transport_plan(
         if largest <= log_threshold:
             raise no_pair_kept(log_threshold, largest)
         log_plan[log_plan <= log_threshold] = -np.inf
+    return _exp(log_plan)
+
+
+def _exp(log_plan: Array) -> Array:
     with np.errstate(over="ignore"):  # far from a solution masses can be infinite
         return np.exp(log_plan)
 
 
-def _plan(source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, epsilon: float) -> Array:
-    with np.errstate(over="ignore"):
-        return np.exp(_log_plan(source, target, f, g, epsilon))
-
-
 def _log_plan(source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, epsilon: float) -> Array:
     # log pi_ij = (f_i + g_j - C_ij) / epsilon + log a_i + log b_j (paper, Eq. 2)
-    log_plan = (f[:, None] + g - _cost_matrix(source, target)) / epsilon
+    log_plan = (f[:, None] + g - cost_matrix(source, target)) / epsilon
     return log_plan + (_log(source.weights)[:, None] + _log(target.weights))

@@ -51,6 +51,11 @@ class Solution(NamedTuple):
     bound: float  #: no assignment has a lower cost
     reached: bool  #: whether the gap is reached, or the assignment is the cheapest, to rounding
 
+    @property
+    def gap(self) -> float:
+        """Share of the bound by which the cost is above it."""
+        return self.cost / self.bound - 1 if self.bound > 0 else np.inf
+
 
 def solved(
     costs: Costs,
@@ -98,7 +103,7 @@ def solved(
         bound = max(found.bound, -constant)  # no assignment costs less than nothing
         above = found.cost - bound
         first, enough = min(first, above), gap * (bound + constant)
-        report(Share(_share(above, first, enough), f"gap {_gap(found):.1e}"))
+        report(Share(_share(above, first, enough), f"gap {found.gap:.1e}"))
         # Nothing is left to be found, unless prices may have missed too much of a lower cost.
         proven = shortest and not undercut and least * n <= 2 * SLACK * share * (cost + constant)
         if above <= enough or (proven and plans is None):
@@ -214,10 +219,6 @@ def _add_cheapest(state: Auction, rows: Indices, nearest: Indices) -> None:
     columns = state.costs.cheapest(0, state.g, MORE, rows)
     repeated = np.repeat(rows, columns.shape[1])
     state.add(np.append(repeated, rows[: len(nearest)]), np.append(columns.ravel(), nearest))
-
-
-def _gap(found: Solution) -> float:
-    return (found.cost / found.bound - 1) if found.bound > 0 else np.inf
 
 
 def _share(above: float, first: float, enough: float) -> float:

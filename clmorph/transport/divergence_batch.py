@@ -27,13 +27,12 @@ from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.potentials_batch import PotentialsBatch
 from clmorph.transport.regularization import Regularization
-from clmorph.transport.sinkhorn import warn_unless_converged
 from clmorph.transport.sinkhorn_batch import (
     MeasuresLike,
     checked_pairs,
     problem_name,
     solve_many,
-    what_missed,
+    warn_of_missed,
 )
 
 #: The share of the work that solving is, beside derivatives.
@@ -146,8 +145,7 @@ def sinkhorn_divergence_batch(
             divergence = replace(divergence, gradient=derivatives)
             report(share + (1 - share) * (number + 1) / len(pairs))
         found.append(divergence)
-    if not solved.converged:
-        warn_unless_converged("missed", what_missed(solved, names.__getitem__))
+    warn_of_missed(solved, names.__getitem__)
     return found
 
 

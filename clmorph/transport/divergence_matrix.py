@@ -19,8 +19,7 @@ from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.potentials_batch import PotentialsBatch
 from clmorph.transport.regularization import Regularization
-from clmorph.transport.sinkhorn import warn_unless_converged
-from clmorph.transport.sinkhorn_batch import MeasuresLike, solve_many, what_missed
+from clmorph.transport.sinkhorn_batch import MeasuresLike, solve_many, warn_of_missed
 
 
 class DivergenceMatrix:
@@ -158,8 +157,7 @@ def divergence_matrix(
     solved = solve_many(pairs, given, tol, max_iter, operations, precision, report, name)
     selves = {number: (solved[i], solved[j]) for number, (i, j) in enumerate(between) if i != j}
     solve_further(solved, selves, pairs, given, tol, max_iter, operations, precision, name)
-    if not solved.converged:
-        warn_unless_converged("missed", what_missed(solved, name))
+    warn_of_missed(solved, name)
     return DivergenceMatrix(solved, places, given)
 
 

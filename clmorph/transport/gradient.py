@@ -152,7 +152,7 @@ def divergence_gradient(
         between = _side(operations, clouds, measures, potentials)
         within = _side(operations, (clouds[0],) * 2, (measures[0],) * 2, own)
         points.append(between.points - within.points)
-        weights.append(between.minus(within, cross.epsilon))
+        weights.append(between.weights(cross.epsilon, within.potential))
     return joined_sides(points, weights, cross)
 
 
@@ -163,22 +163,18 @@ class _Side(NamedTuple):
     potential: Array  #: (N,) f, after one more half-step
     inverse_rho: float  #: 1 / rho, 0 if balanced
 
-    def weights(self, epsilon: float) -> Array:
-        """Return (rho + epsilon) (1 - exp(-f / rho)), which is f if balanced."""
-        if not self.inverse_rho:
-            return self.potential
-        scaled = np.minimum(-self.potential * self.inverse_rho, MAX_EXPONENT)
-        # d OT / d a without the constant epsilon (m_b - 1)
-        return -(1.0 / self.inverse_rho + epsilon) * np.expm1(scaled)
+    def weights(self, epsilon: float, less: Any = 0.0) -> Array:
+        """Return (rho + epsilon) (1 - exp(-f / rho)), f if balanced, less that of a potential.
 
-    def minus(self, other: _Side, epsilon: float) -> Array:
-        """Return the difference of the weights' derivatives, without cancellation at large rho."""
-        change = self.potential - other.potential
+        The difference has no cancellation at large rho.
+        """
+        change = self.potential - less
         if not self.inverse_rho:
             return change
-        scaled = np.minimum(-other.potential * self.inverse_rho, MAX_EXPONENT)
-        less = np.expm1(np.minimum(-change * self.inverse_rho, MAX_EXPONENT))
-        return -(1.0 / self.inverse_rho + epsilon) * np.exp(scaled) * less
+        scaled = np.minimum(-less * self.inverse_rho, MAX_EXPONENT)
+        fall = np.expm1(np.minimum(-change * self.inverse_rho, MAX_EXPONENT))
+        # d OT / d a without the constant epsilon (m_b - 1)
+        return -(1.0 / self.inverse_rho + epsilon) * np.exp(scaled) * fall
 
 
 def _side(

@@ -239,10 +239,9 @@ def _in_order(costs: Costs) -> tuple[Array, Indices]:
 def warn_unless_reached(found: Solution, gap: float) -> None:
     """Warn the caller of a public function, which calls this itself, if a gap was not reached."""
     if not found.reached:
-        reached = found.cost / found.bound - 1 if found.bound > 0 else np.inf
         warnings.warn(
-            f"the cost is proven to be at most {reached:.3%} above the cheapest one, which is more "
-            f"than the gap of {gap:.3%} that was asked for: give a larger gap",
+            f"the cost is proven to be at most {found.gap:.3%} above the cheapest one, which is "
+            f"more than the gap of {gap:.3%} that was asked for: give a larger gap",
             ConvergenceWarning,
             stacklevel=3,
         )

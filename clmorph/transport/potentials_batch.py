@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,17 +43,19 @@ class PotentialsBatch(Items[Potentials]):
     [0.96, 0.96]
     """
 
-    def __init__(self, parts: list[Part], count: int) -> None:
-        self._parts = parts
-        self._place: dict[int, tuple[Part, int]] = {}
+    def __init__(self, parts: Iterable[Part], count: int) -> None:
+        self._place: dict[int, tuple[Solved, int]] = {}
+        self._made: dict[int, Potentials] = {}
         self.statuses = [""] * count
         self.residuals, self.n_iter = np.zeros(count), np.zeros(count, np.int64)
         for part in parts:
+            if isinstance(part, tuple):
+                self._put(*part)
+                continue
             for place, number in enumerate(part.numbers):
                 self._place[int(number)] = part, place
                 self.statuses[number] = part.statuses[place]
             self.residuals[part.numbers], self.n_iter[part.numbers] = part.residuals, part.n_iter
-        self._made: dict[int, Potentials] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what is pickled: all potentials, which need no device."""
@@ -101,23 +103,10 @@ class Solved:
         return finish(self._iteration.outcome(place), self._given, None)
 
 
-class Single:
-    """A problem that was solved by itself."""
-
-    def __init__(self, number: int, potentials: Potentials) -> None:
-        self.numbers, self._potentials = np.array([number]), potentials
-        self.statuses, self.n_iter = [potentials.status], np.array([potentials.n_iter])
-        self.residuals = np.array([potentials.residual])
-
-    def make(self, place: int) -> Potentials:
-        """Return the potentials."""
-        return self._potentials
-
-
-Part = Solved | Single
+#: Problems that were solved together, or the number of one that was solved by itself, and its end.
+Part = Solved | tuple[int, Potentials]
 
 
 def batch_of(potentials: Sequence[Potentials]) -> PotentialsBatch:
     """Return potentials as a batch."""
-    parts: list[Part] = [Single(number, each) for number, each in enumerate(potentials)]
-    return PotentialsBatch(parts, len(parts))
+    return PotentialsBatch(enumerate(potentials), len(potentials))

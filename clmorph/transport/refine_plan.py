@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from clmorph._shared.typing import AnyArray, Array, IntArray
+from clmorph._shared.typing import AnyArray, Array, BoolArray, IntArray
 from clmorph.images.resizing import resized
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.transport.barycentric import Barycentric
@@ -30,7 +31,12 @@ def refined(
         return _refined_means(plan, source, target)
     i, j = plan.rows, plan.indices.astype(np.int64)
     a, b = source.fine.weights, target.fine.weights
-    parts = [_pixels(source, target, i, j, place) for place in _places(source, target)]
+    side, parts = max(source.side, target.side), []
+    for place in np.ndindex(side, side):
+        rows, inside = _at_place(source, i, place, side)
+        columns, there = _at_place(target, j, place, side)
+        pairs = np.flatnonzero(inside | there)
+        parts.append((pairs, rows[pairs], columns[pairs]))
     weights = [a[rows] * b[columns] for _, rows, columns in parts]
     whole = sum(
         np.bincount(pairs, weight, len(plan))
@@ -45,34 +51,6 @@ def refined(
     columns = np.concatenate((columns, target.heaviest[j[lone]]))
     mass = np.concatenate((mass, plan.mass[lone]))
     return _as_plan(rows, columns, mass, plan.marginals, source, target)
-
-
-def _places(source: PixelBlocks, target: PixelBlocks) -> list[tuple[int, int]]:
-    """Return the places, row and column, inside the larger of the blocks of both images."""
-    side = max(source.side, target.side)
-    return [(row, column) for row in range(side) for column in range(side)]
-
-
-def _pixels(
-    source: PixelBlocks, target: PixelBlocks, i: IntArray, j: IntArray, place: tuple[int, int]
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Return the pairs of blocks that have a place, and their pixels there in source and target."""
-    finest = max(source.side, target.side)
-    there = np.ones((2, len(i)), bool)
-    found = []
-    for own, (blocks, owner) in enumerate(((source, i), (target, j))):
-        height, width = blocks.fine.shape
-        rows, columns = np.divmod(owner, blocks.coarse.shape[1])
-        pixel = []
-        for index, length, offset in zip((rows, columns), (height, width), place, strict=True):
-            inside = np.minimum(blocks.side, length - index * blocks.side)
-            wanted = offset * blocks.side // finest
-            there[own] &= wanted < inside
-            # A block that the border cuts off repeats its pixels.
-            pixel.append(index * blocks.side + wanted % inside)
-        found.append(pixel[0] * width + pixel[1])
-    pairs = np.flatnonzero(there.any(axis=0))
-    return pairs, found[0][pairs], found[1][pairs]
 
 
 def drawn(
@@ -118,7 +96,7 @@ def _to_pixels(
     travels = np.flatnonzero(mass > 0)
     rank, finest = np.tile(np.arange(count), n)[travels], max(own.side, other.side)
     pixels, place = _in_turn(own, blocks[travels], rank, count, finest)
-    there = _at_place(other, others[travels].astype(np.int64), place, finest)
+    there, _ = _at_place(other, others[travels].astype(np.int64), place, finest)
     return pixels, _with_mass(other)[there], mass[travels]
 
 
@@ -130,18 +108,24 @@ def z_order(row: IntArray, column: IntArray) -> IntArray:
     return code
 
 
+def _along_curve(blocks: PixelBlocks) -> IntArray:
+    """Return the pixels, block by block, along a Z-curve in each."""
+    places = np.divmod(np.arange(len(blocks.fine)), blocks.fine.shape[1])
+    return np.lexsort((z_order(*(axis % blocks.side for axis in places)), blocks.owners))
+
+
 def _in_turn(
     blocks: PixelBlocks, owner: IntArray, rank: IntArray, draws: int, finest: int
 ) -> tuple[IntArray, IntArray]:
     """Return the pixel of each draw, and its place (row and column) in the largest block."""
-    places = np.divmod(np.arange(len(blocks.fine)), blocks.fine.shape[1])
-    order = np.lexsort((z_order(*(axis % blocks.side for axis in places)), blocks.owners))
+    order = _along_curve(blocks)
     owners = blocks.owners[order]
     count = np.bincount(owners, minlength=len(blocks.coarse))
     share = blocks.fine.weights[order] / np.maximum(
         blocks.coarse.weights[owners], np.finfo(float).tiny
     )
-    ends = owners + np.clip(np.cumsum(share) - _before(share, owners), 0.0, 1.0)
+    before = np.append(0.0, np.cumsum(np.bincount(owners, share)))[owners]  # of all blocks before
+    ends = owners + np.clip(np.cumsum(share) - before, 0.0, 1.0)
     n = count[owner]
     level = ((rank % n) + (rank // n + 0.5) / -(-draws // n)) / n
     found = np.minimum(np.searchsorted(ends, owner + level), np.cumsum(count)[owner] - 1)
@@ -160,20 +144,21 @@ def _in_turn(
     return pixels, place
 
 
-def _before(share: Array, owners: IntArray) -> Array:
-    """Return, for each pixel, the sum of the shares of all blocks before its own."""
-    totals = np.cumsum(np.bincount(owners, share))
-    return np.concatenate(([0.0], totals))[owners]
+def _at_place(
+    blocks: PixelBlocks, owner: IntArray, place: Any, finest: int
+) -> tuple[IntArray, BoolArray]:
+    """Return each block's pixel at a place (row and column) of the largest block, and if it has it.
 
-
-def _at_place(blocks: PixelBlocks, owner: IntArray, place: IntArray, finest: int) -> IntArray:
-    """Return each block's pixel at a place; a block cut off by the border repeats its pixels."""
-    found = []
+    A block that the border cuts off repeats its pixels.
+    """
+    pixels, there = np.zeros(owner.shape, np.int64), np.ones(owner.shape, bool)
     indices = np.divmod(owner, blocks.coarse.shape[1])
     for index, length, offset in zip(indices, blocks.fine.shape, place, strict=True):
         inside = np.minimum(blocks.side, length - index * blocks.side)
-        found.append(index * blocks.side + (offset * blocks.side // finest) % inside)
-    return np.asarray(found[0] * blocks.fine.shape[1] + found[1])
+        wanted = offset * blocks.side // finest
+        there &= wanted < inside
+        pixels = pixels * length + index * blocks.side + wanted % inside
+    return pixels, there
 
 
 def _with_mass(blocks: PixelBlocks) -> IntArray:
@@ -181,8 +166,7 @@ def _with_mass(blocks: PixelBlocks) -> IntArray:
     count, massive = len(blocks.fine), blocks.fine.weights > 0
     if massive.all():
         return np.arange(count)
-    place = np.divmod(np.arange(count), blocks.fine.shape[1])
-    order = np.lexsort((z_order(*(axis % blocks.side for axis in place)), blocks.owners))
+    order = _along_curve(blocks)
     owners, there = blocks.owners[order], np.flatnonzero(massive[order])
     following = np.searchsorted(there, np.arange(count))
     found = np.arange(count)
@@ -206,9 +190,7 @@ def _as_plan(
 ) -> Plan:
     """Return pairs of pixels as a plan whose marginals are those of the blocks, by mass."""
     shape = len(source.fine), len(target.fine)
-    row_mass, column_mass = (
-        blocks.share_out(total) for blocks, total in zip((source, target), marginals, strict=True)
-    )
+    row_mass, column_mass = source.share_out(marginals[0]), target.share_out(marginals[1])
     rows, columns, mass = _with_all_pixels(rows, columns, mass, source, row_mass)
     columns, rows, mass = _with_all_pixels(columns, rows, mass, target, column_mass)
     return plan_of_pairs((rows, columns), mass, shape, (row_mass, column_mass))
@@ -250,12 +232,8 @@ def _refined_means(plan: Barycentric, source: PixelBlocks, target: PixelBlocks) 
         whole = resized(grid, (height, width))
         return whole[: fine.shape[0], : fine.shape[1]].reshape(len(fine), -1)
 
-    rows, columns = (
-        blocks.share_out(mass)
-        for blocks, mass in zip((source, target), plan.marginals, strict=True)
-    )
     return replace(
         plan, positions=fine.positions + between(plan.positions - coarse.positions),
         colors=np.clip(between(plan.colors), 0.0, 1.0), covariance=plan.covariance[owners],
-        row_mass=rows, column_mass=columns,
+        row_mass=source.share_out(plan.row_mass), column_mass=target.share_out(plan.column_mass),
     )  # fmt: skip

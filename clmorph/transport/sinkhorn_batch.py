@@ -23,7 +23,7 @@ from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.softmin import overflow
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import AlgorithmOptions, Precision, Reach, SolverOptions
-from clmorph.transport.potentials_batch import Part, PotentialsBatch, Single, Solved
+from clmorph.transport.potentials_batch import Part, PotentialsBatch, Solved
 from clmorph.transport.regularization import Regularization, regularization
 from clmorph.transport.sinkhorn import solve, warn_unless_converged
 
@@ -114,8 +114,7 @@ def sinkhorn_batch(
     pairs = checked_pairs(as_many("sources", sources), as_many("targets", targets))
     operations = get_backend(backend)
     found = solve_many(pairs, given, tol, max_iter, operations, precision, report)
-    if not found.converged:
-        warn_unless_converged("missed", what_missed(found, problem_name))
+    warn_of_missed(found, problem_name)
     return found
 
 
@@ -124,14 +123,13 @@ def problem_name(number: int) -> str:
     return f"problem {number}"
 
 
-def what_missed(found: PotentialsBatch, name: Callable[[int], str]) -> str:
-    """Return how many solves did not converge, and how the first of them ended."""
+def warn_of_missed(found: PotentialsBatch, name: Callable[[int], str]) -> None:
+    """Warn the caller of a public function, which calls this itself, of solves that missed."""
     missed = [number for number, each in enumerate(found.statuses) if each != "converged"]
-    first = missed[0]
-    return (
-        f"{len(missed)} of {len(found)} solves did not converge; {name(first)}: "
-        f"{found[first].message}"
-    )
+    if missed:
+        how = f"{name(missed[0])}: {found[missed[0]].message}"
+        message = f"{len(missed)} of {len(found)} solves did not converge; {how}"
+        warn_unless_converged("missed", message, 4)
 
 
 def checked_pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasure, AnyMeasure]]:
@@ -184,7 +182,7 @@ def solve_many(
         options = tol, max_iter, precision, share
         try:
             if _is_single(own[0]):
-                return Single(numbers[0], solve(device, own[0], given, *options, exact=exact))
+                return numbers[0], solve(device, own[0], given, *options, exact=exact)
             problem = problem_of_many(device, own, given.rho)
             if is_symmetric(own[0], given.rho):
                 return Solved(
