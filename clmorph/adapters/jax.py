@@ -98,22 +98,31 @@ def sinkhorn_divergence(
     get_backend(backend)
     options = {"blur": blur, "reach": reach, "tol": tol, "max_iter": max_iter,
                "backend": backend, "epsilon": epsilon, "rho": rho}  # fmt: skip
-
     shape = arrays[0].shape[:-1]
     types = [jax.ShapeDtypeStruct(shape, arrays[1].dtype)]
     types += [jax.ShapeDtypeStruct(each.shape, each.dtype) for each in arrays]
 
     def on_host(call: Any, types: Any, *given: Any) -> Any:
-        call = partial(call, options, types)
-        return tuple(jax.pure_callback(call, types, *given, vmap_method="sequential"))
+        def called(*arrays: Any) -> Any:
+            found = call(*(np.asarray(each, float) for each in arrays))
+            return [np.asarray(v, t.dtype) for v, t in zip(found, types, strict=True)]
+
+        return tuple(jax.pure_callback(called, types, *given, vmap_method="sequential"))
+
+    def solved(*given: Any, differentiate: bool = True) -> Any:
+        value, parts = divergence_and_gradient(given, differentiate, options)
+        return value, *parts
+
+    def of_hessian(*given: Any) -> Any:
+        return changed_gradient(given[:4], given[4:], options)
 
     @jax.custom_jvp  # type: ignore[untyped-decorator,unused-ignore]
     def divergence(*given: Any) -> Any:
-        return on_host(_value, types[:1], *given)[0]
+        return on_host(partial(solved, differentiate=False), types[:1], *given)[0]
 
     @jax.custom_jvp  # type: ignore[untyped-decorator,unused-ignore]
     def differentiated(*given: Any) -> Any:
-        return on_host(_value_and_gradient, types, *given)
+        return on_host(solved, types, *given)
 
     def along(parts: Any, changes: Any) -> Any:
         pairs = zip(parts, changes, strict=True)
@@ -129,12 +138,12 @@ def sinkhorn_divergence(
         flat, as_parts = ravel_pytree(changes)
 
         def product(_same: Any, direction: Any) -> Any:
-            parts = on_host(_product, types[1:], *given, *as_parts(direction))
+            parts = on_host(of_hessian, types[1:], *given, *as_parts(direction))
             return ravel_pytree(parts)[0]
 
         def same(direction: Any) -> Any:
             kind = [jax.ShapeDtypeStruct(direction.shape, direction.dtype)]
-            return on_host(_last, kind, *given, direction)[0]
+            return on_host(lambda *all_given: all_given[-1:], kind, *given, direction)[0]
 
         # JAX can transpose, and map, what solves a symmetric system. Its matrix is the identity, in
         # a form that depends on `given` and has no derivatives, as the product has none.
@@ -144,32 +153,3 @@ def sinkhorn_divergence(
     divergence.defjvp(of_value)
     differentiated.defjvp(of_gradient)
     return divergence(*arrays)
-
-
-def _typed(found: Any, types: Any) -> Any:
-    """Return arrays of the types that were announced."""
-    return [np.asarray(v, t.dtype) for v, t in zip(found, types, strict=True)]
-
-
-def _value(options: dict[str, Any], types: Any, *given: Any) -> Any:
-    """Return the divergence."""
-    a, x, b, y = (np.asarray(each, float) for each in given)
-    return _typed([divergence_and_gradient((a, x, b, y), False, options)[0]], types)
-
-
-def _value_and_gradient(options: dict[str, Any], types: Any, *given: Any) -> Any:
-    """Return the divergence and its derivatives."""
-    a, x, b, y = (np.asarray(each, float) for each in given)
-    value, parts = divergence_and_gradient((a, x, b, y), True, options)
-    return _typed((value, *parts), types)
-
-
-def _product(options: dict[str, Any], types: Any, *given: Any) -> Any:
-    """Return the Hessian times a direction."""
-    arrays = [np.asarray(each, float) for each in given]
-    return _typed(changed_gradient(tuple(arrays[:4]), tuple(arrays[4:]), options), types)
-
-
-def _last(_options: dict[str, Any], types: Any, *given: Any) -> Any:
-    """Return the last argument."""
-    return _typed(given[-1:], types)

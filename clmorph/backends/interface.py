@@ -411,7 +411,7 @@ class Operations(Protocol):
         """Give every splat an individual width, by Eq. 3 with the distance between its neighbors.
 
         The width is max(sigma * spacing, distance / 2), rounded to one of the
-        `width_levels.WIDTH_LEVELS` around sigma. `distances`, (height, width), are those between
+        `records.WIDTH_LEVELS` around sigma. `distances`, (height, width), are those between
         neighboring particles around each pixel of the canvas, in pixels, and are interpolated
         bilinearly; outside the canvas, the distance at the border counts. `sigma` is the kernel
         width in units of the spacing, and `splat` is to be called with the same. Weights are scaled

@@ -1,8 +1,8 @@
 """Compute results on several devices at the same time, one thread a device."""
 
 import threading
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from contextvars import copy_context
 from typing import TypeVar
 
@@ -12,23 +12,6 @@ T = TypeVar("T")
 
 #: Seconds of one wait for a thread. On Windows, Ctrl-C takes effect only between waits.
 PATIENCE = 0.2
-
-
-@contextmanager
-def _waited_for(stop: Cancellation, wait: Callable[[], None]) -> Iterator[None]:
-    """Wait for other threads at the end of a `with` block; after an error in it they stop."""
-    try:
-        yield
-    except BaseException:
-        stop.request()
-        raise
-    finally:
-        try:
-            wait()
-        except BaseException:
-            stop.request()
-            wait()
-            raise
 
 
 def _join(threads: Sequence[threading.Thread]) -> None:
@@ -87,7 +70,7 @@ def results_in_order(
     ]
     try:
         # With an error here `take` raises `Cancelled`, and so all threads end before the cause.
-        with suppress(Cancelled), _waited_for(stop, lambda: _join(threads)):
+        with suppress(Cancelled):
             try:
                 for thread in threads:
                     thread.start()
@@ -97,6 +80,11 @@ def results_in_order(
                 with changed:
                     stop.request()
                     changed.notify_all()
+                try:
+                    _join(threads)
+                except BaseException:  # Ctrl-C; they stop soon
+                    _join(threads)
+                    raise
         check_cancelled()
         if errors:
             raise _first(errors)

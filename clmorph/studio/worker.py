@@ -11,10 +11,6 @@ from clmorph.backends.cancellation import Cancellation, Cancelled
 Kind = Literal["preview", "run", "save"]
 
 
-def _nothing() -> None:
-    pass
-
-
 @dataclass(eq=False)
 class Job:
     """A piece of work."""
@@ -25,7 +21,7 @@ class Job:
     #: It reports its result and its errors itself.
     work: Callable[[], None]
     #: Called once if the job was cancelled, before it began or in the middle.
-    dropped: Callable[[], None] = _nothing
+    dropped: Callable[[], None] = lambda: None
     cancellation: Cancellation = field(default_factory=Cancellation)
 
 

@@ -17,8 +17,7 @@ from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.verification.bench import Bench, Clouds, log_sum_exp_tolerance
 from clmorph.backends.opencl.verification.splats import Range, splat_tolerance
 from clmorph.backends.opencl.verification.table import TABLE
-from clmorph.backends.records import PlanTerms
-from clmorph.backends.width_levels import WIDTH_LEVELS
+from clmorph.backends.records import WIDTH_LEVELS, PlanTerms
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()

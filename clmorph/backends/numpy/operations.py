@@ -15,6 +15,7 @@ from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
 from clmorph.backends.numpy.layers import draw_layers, edge_preserving_mean, follow_paths
 from clmorph.backends.numpy.nearest_seeds import nearest_seeds
 from clmorph.backends.records import (
+    WIDTH_LEVELS,
     Bins,
     Float32,
     Float64,
@@ -25,7 +26,6 @@ from clmorph.backends.records import (
     StoredVectors,
     bin_grid,
 )
-from clmorph.backends.width_levels import WIDTH_LEVELS
 
 #: The clouds of many problems.
 Batch = list[Cloud]

@@ -104,11 +104,8 @@ def _boxes(pixels: Bytes, models: Any) -> list[Array]:
             for each in model.process(pixels).detections or []:
                 box = each.location_data.relative_bounding_box
                 middle = (box.xmin + box.width / 2) * width, (box.ymin + box.height / 2) * height
-                side = max(box.width * width, box.height * height)
-                new = np.array([*middle, side])
-                if all(_apart(new, other) for other in found):
-                    found.append(new)
-    return sorted(found, key=lambda box: -box[2])
+                found.append(np.array([*middle, max(box.width * width, box.height * height)]))
+    return _distinct(found)
 
 
 def _small_boxes(pixels: Bytes, models: Any) -> list[Array]:
@@ -118,10 +115,16 @@ def _small_boxes(pixels: Bytes, models: Any) -> list[Array]:
     for top in (0, height // 4, height // 2):
         for left in (0, width // 4, width // 2):
             part = np.ascontiguousarray(pixels[top : top + height // 2, left : left + width // 2])
-            for box in _boxes(part, models):
-                new = box + np.array((left, top, 0.0))
-                if all(_apart(new, other) for other in found):
-                    found.append(new)
+            found += [box + np.array((left, top, 0.0)) for box in _boxes(part, models)]
+    return _distinct(found)
+
+
+def _distinct(boxes: list[Array]) -> list[Array]:
+    """Return the first of all boxes of each face, the largest first."""
+    found: list[Array] = []
+    for box in boxes:
+        if all(_apart(box, other) for other in found):
+            found.append(box)
     return sorted(found, key=lambda box: -box[2])
 
 

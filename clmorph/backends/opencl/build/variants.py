@@ -20,7 +20,7 @@ from clmorph.backends.opencl.build.constants import (
 )
 from clmorph.backends.opencl.build.kernel_files import KERNELS as KERNELS
 from clmorph.backends.opencl.devices.verdicts import OPTIONAL
-from clmorph.backends.width_levels import WIDTH_LEVELS
+from clmorph.backends.records import WIDTH_LEVELS
 
 Macros = dict[str, int | float]
 

@@ -11,8 +11,7 @@ from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.kernels import launches, loop_limits
 from clmorph.backends.opencl.kernels.launches import Workspace
-from clmorph.backends.records import bin_grid
-from clmorph.backends.width_levels import WIDTH_LEVELS
+from clmorph.backends.records import WIDTH_LEVELS, bin_grid
 
 #: Entries of the (slices, bins) table of counts; fewer slices are used on large canvases.
 COUNT_ENTRIES = 1 << 21

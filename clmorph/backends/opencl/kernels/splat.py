@@ -26,8 +26,7 @@ from clmorph.backends.opencl.kernels.particles import (
     sort_splats,
     whole_groups,
 )
-from clmorph.backends.records import Bins, Float32, Float64
-from clmorph.backends.width_levels import WIDTH_LEVELS
+from clmorph.backends.records import WIDTH_LEVELS, Bins, Float32, Float64
 from clmorph.errors import DeviceError
 
 #: The number of bins around the canvas; particles farther out fall into the outermost ones.

@@ -11,8 +11,7 @@ from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.variants import KERNELS, Variant
 from clmorph.backends.opencl.verification.bench import Bench, Findings, check
 from clmorph.backends.opencl.verification.findings import UNIT, Finding, count_differences, largest
-from clmorph.backends.records import Float32, Float64
-from clmorph.backends.width_levels import WIDTH_LEVELS
+from clmorph.backends.records import WIDTH_LEVELS, Float32, Float64
 
 #: The radius of a kernel, in kernel widths.
 CUT = 4.5
