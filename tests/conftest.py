@@ -386,6 +386,7 @@ def rng() -> np.random.Generator:
 
 def found_anew() -> tuple[Device, ...]:
     """Find all devices as a new process would."""
+    verdicts._known.clear()
     tried.cache_clear()
     find_devices.cache_clear()
     return find_devices()
@@ -395,7 +396,7 @@ def found_anew() -> tuple[Device, ...]:
 def fresh_search() -> Iterator[None]:
     """Let what a test finds, and verdicts that it fakes, be forgotten before and after it."""
     known = vars(verdicts)
-    kept = {name: known[name].copy() for name in ("_programs", "_refused")}
+    kept = {name: known[name].copy() for name in ("_known", "_refused")}
 
     def forget() -> None:
         tried.cache_clear()
@@ -415,10 +416,10 @@ def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, fresh_search: None) -
     """Indexes of the devices probed, in an empty cache; every probe is content."""
     probed: list[str] = []
 
-    def probe(index: str, request: str | None = None) -> dict[str, object]:
+    def probe(index: str, request: str | None = None) -> verdicts.Verdict:
         if request is None:
             probed.append(index)
-        return {"usable": True, "reason": "", "pairs_per_second": 1.0}
+        return verdicts.Verdict(pairs_per_second=1.0)
 
     monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
     monkeypatch.setattr("clmorph.backends.opencl.devices.find.run_probe", probe)

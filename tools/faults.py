@@ -33,7 +33,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "garbage": lambda file: file.write_bytes(bytes(range(256)) * 9),
     "empty": lambda file: file.write_bytes(b""),
     "cut": lambda file: os.truncate(file, file.stat().st_size // 2),
-    "types": lambda file: file.write_text('{"usable": 3, "reason": [], "pairs_per_second": "x"}'),
+    "types": lambda file: file.write_text('{"reason": [], "pairs_per_second": "x"}'),
     "nested": lambda file: file.write_text("[" * 100_000),
     "folder": lambda file: (file.unlink(), file.mkdir()),
     "loop": lambda file: (file.unlink(), file.symlink_to(file.name)),

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -59,10 +60,11 @@ def pretend(monkeypatch, tmp_path, fresh_search):
             if request is None:
                 asked.append(index)
             reason = "its driver crashed" if index in bad else ""
-            return {"usable": not reason, "reason": reason, "pairs_per_second": 1.0}
+            return verdicts.Verdict(reason, pairs_per_second=1.0)
 
         devices.tried.cache_clear()
         devices.find_devices.cache_clear()
+        verdicts._known.clear()
         asked.clear()
         folder = tmp_path / str(len(list(tmp_path.iterdir())))
         folder.mkdir()
@@ -129,7 +131,7 @@ def test_recorded_speeds_order_gpus_of_several_models(pretend, monkeypatch):
 
     def measured(index, request=None):
         name = dict(devices.raw_devices())[index].name
-        return {**probe(index, request), "pairs_per_second": speeds[name]}
+        return replace(probe(index, request), pairs_per_second=speeds[name])
 
     monkeypatch.setattr(devices, "run_probe", measured)
     assert chosen() is order[0]
@@ -307,8 +309,8 @@ def test_pyopencl_no_cache_without_a_truth_value(monkeypatch, value):
 @pytest.mark.needs_device
 def test_the_probe_finds_a_working_device():
     verdict = run_probe(TESTED[0].index)
-    assert verdict["usable"], verdict
-    assert verdict["pairs_per_second"] > 1e6
+    assert not verdict.reason
+    assert verdict.pairs_per_second > 1e6
 
 
 @pytest.mark.needs_device

@@ -84,10 +84,10 @@ def test_one_program_serves_all_dimensions(variant):
 def test_a_wrong_program_for_many_dimensions_is_refused_alone(each_device, monkeypatch):
     operations = OpenCLOperations(each_device.device)
     wrong = operations.programs._key(Variant("log_sum_exp.cl", SLICED_FROM))
-    known = verdicts.load_program_verdict
+    known = verdicts.load
     monkeypatch.setattr(
-        verdicts, "load_program_verdict",
-        lambda key: verdicts.ProgramVerdict(f"{verdicts.WRONG}it") if key == wrong else known(key),
+        verdicts, "load",
+        lambda key: verdicts.Verdict(f"{verdicts.WRONG}it") if key == wrong else known(key),
     )  # fmt: skip
     points, weights = clustered(20, 30, 0)
     cloud = operations.upload(points, weights)

@@ -10,7 +10,7 @@ from clmorph.backends.opencl import probe
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.devices import verdicts
-from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, USUAL_EIGHTHS
+from clmorph.backends.opencl.devices.verdicts import Verdict
 
 #: The share of a row's sum that may be left out.
 BUDGET = 1e-6
@@ -171,8 +171,7 @@ def test_rates_of_chosen_columns_are_measured(device, monkeypatch):
     assert np.all(sums[0] > sums[-1])  # the more columns, the less the soft minimum
 
     def pairs(eighths):
-        record = {"usable": True, "reason": "", "pairs_per_second": 1e9, MANY_EIGHTHS: eighths}
-        monkeypatch.setattr(verdicts, "load_verdict", lambda _: record)
+        monkeypatch.setattr(verdicts, "load", lambda _: Verdict(many_eighths=eighths))
         backend = OpenCLOperations(device.device, device.constants, verify=False)
         own, g, want, epsilon = clouds(backend, 24, 0.05, np.random.default_rng(0))
         near = backend.near_pairs(*own, g, want, epsilon, BUDGET)
@@ -181,7 +180,6 @@ def test_rates_of_chosen_columns_are_measured(device, monkeypatch):
 
     chosen = pairs(8)
     assert pairs(1) > 1.1 * chosen
-    assert pairs("8") == pairs(None) == pairs(USUAL_EIGHTHS)
 
 
 @pytest.mark.parametrize("on_processor", [False, True])
@@ -196,4 +194,4 @@ def test_a_cards_first_use_measures_chosen_columns(device, monkeypatch, on_proce
     monkeypatch.setattr(probe, "first_failure", lambda *_: "")
     monkeypatch.setattr(probe, "throughput", lambda *_: 2e9)
     monkeypatch.setattr(probe, "many_eighths", lambda _, rate: 3 if rate == 2e9 else 0)
-    assert probe.probe("0:0").get(MANY_EIGHTHS) == (None if on_processor else 3)
+    assert probe.probe("0:0").many_eighths == (Verdict.many_eighths if on_processor else 3)

@@ -14,9 +14,9 @@ from clmorph.backends.opencl.build.constants import apply_quirks, choose_constan
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.quirks import find_quirks
 from clmorph.backends.opencl.devices.verdicts import (
-    SLOW_FLOAT64,
+    Verdict,
     forget,
-    save_verdict,
+    save,
     verdict_key,
 )
 from clmorph.backends.opencl.verification.bench import log_sum_exp_tolerance
@@ -188,8 +188,7 @@ def test_slow_float64_is_remembered(device, monkeypatch, tmp_path):
     if not device.has_float64:
         pytest.skip("it has no float64")
     key = verdict_key(device.device)
-    usable = {"usable": True, "reason": "", "pairs_per_second": 1e9, SLOW_FLOAT64: True}
-    save_verdict(key, usable)
+    save(key, Verdict(slow_float64=True))
     assert "slow_float64" in find_quirks(device.device)
     constants = choose_constants(device.device)
     assert (constants.precise, constants.float64) == (1, 1)

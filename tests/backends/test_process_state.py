@@ -1,6 +1,7 @@
 """Test the state that a process shares: first use by threads, forks, exit, cache, global state."""
 
 import json
+import math
 import os
 import pickle
 import stat
@@ -9,6 +10,7 @@ import sys
 import threading
 import time
 import warnings
+from dataclasses import asdict
 
 import numpy as np
 import pyopencl as cl
@@ -30,7 +32,7 @@ from clmorph.errors import PlanSizeError
 from clmorph.images import color as colors
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-WORKS = {"usable": True, "reason": "", "pairs_per_second": 1.0}
+WORKS = verdicts.Verdict(pairs_per_second=1.0)
 
 
 # --- trials: one a device, and what is remembered of them ---------------------------------
@@ -111,10 +113,10 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, words
     # Only what sleeps runs out of time; the others may start late on a busy machine.
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
     verdict = trial.run_probe("0:0")
-    assert not verdict["usable"]
-    assert words in verdict["reason"]
-    verdicts.save_verdict("key", verdict)
-    assert (verdicts.load_verdict("key") is not None) == lasting
+    assert words in verdict.reason
+    verdicts.save("devices/key", verdict)
+    verdicts._known.clear()  # as in a new process
+    assert (verdicts.load("devices/key") is not None) == lasting
 
 
 @pytest.mark.full
@@ -137,7 +139,7 @@ def test_a_child_of_the_probe_does_not_hold_its_trial_up(monkeypatch, tmp_path, 
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
     verdict = trial.run_probe("0:0")
     os.kill(int((tmp_path / "pid").read_text()), 9)  # it fails if the child has ended, after 20 s
-    assert words in verdict["reason"]
+    assert words in verdict.reason
 
 
 @pytest.mark.needs_device
@@ -172,7 +174,7 @@ def test_a_failure_of_the_moment_is_told_apart():
     error = DeviceError("no memory")
     error.__cause__ = MemoryError()
     assert probe._is_passing(error, None)
-    assert probe.probe("99:99")["lasting"] is False
+    assert probe.probe("99:99").lasting is False
 
 
 @pytest.mark.parametrize("executable", ["", "/usr/sbin/httpd", "/opt/game/app"])
@@ -181,13 +183,13 @@ def test_no_other_program_is_started_in_place_of_python(monkeypatch, executable)
     monkeypatch.setattr(sys, "executable", executable)
     monkeypatch.setattr(subprocess, "Popen", None)
     verdict = trial.run_probe("0:0")
-    assert "no Python interpreter" in verdict["reason"]
-    assert not verdict["lasting"]
+    assert "no Python interpreter" in verdict.reason
+    assert not verdict.lasting
 
 
 def test_an_interpreter_that_is_gone_is_a_reason(monkeypatch, tmp_path):
     monkeypatch.setattr("multiprocessing.spawn.get_executable", lambda: str(tmp_path / "python3"))
-    assert "No such file" in trial.run_probe("0:0")["reason"]
+    assert "No such file" in trial.run_probe("0:0").reason
 
 
 @pytest.mark.full
@@ -204,7 +206,7 @@ def test_the_probe_stands_any_environment(monkeypatch, tmp_path):
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(sys, "path", ["", ".", *sys.path])
     verdict = trial.run_probe(TESTED[0].index)
-    assert verdict["usable"], verdict
+    assert verdict.reason == ""
 
 
 def test_numpy_has_one_thread_in_the_probe(monkeypatch):
@@ -260,13 +262,12 @@ def test_no_probe_outlives_its_parent():
 @pytest.mark.parametrize(
     "damaged",
     [
-        "", "{", "[" * 100_000, "[]", "{}", "\xff\x00", '{"usable": 1}', "null",
-        '{"usable": true, "reason": "", "pairs_per_second": "fast"}',
-        '{"usable": true, "reason": "", "pairs_per_second": NaN}',
-        '{"usable": true, "reason": 3, "pairs_per_second": 1.0}',
-        '{"usable": "yes", "reason": "", "pairs_per_second": 1.0}',
-        '{"usable": false, "reason": "", "pairs_per_second": 0.0}',
-        '{"usable": true, "reason": "", "pairs_per_second": 1' + "0" * 400 + "}",
+        "", "{", "[" * 100_000, "[]", "{}", "\xff\x00", '{"reason": ""}', "null",
+        *(json.dumps({**asdict(WORKS), **change}) for change in (
+            {"pairs_per_second": "fast"}, {"pairs_per_second": math.nan}, {"reason": 3},
+            {"pairs_per_second": -1.0}, {"pairs_per_second": 10**400}, {"lasting": "yes"},
+            {"many_eighths": "8"}, {"many_eighths": 9}, {"another": 1},
+        )),
     ],
 )  # fmt: skip
 @pytest.mark.needs_device
@@ -303,10 +304,10 @@ def test_writers_at_once_keep_each_others_verdicts(monkeypatch, tmp_path):
 
     def write():
         for name in names:
-            verdicts.save_verdict(name, WORKS)
+            verdicts.save(f"devices/{name}", WORKS)
 
     code = "from clmorph.backends.opencl.devices import trial, verdicts as v\n"
-    code += f"for n in range(64, 128): v.save_verdict(str(n), {WORKS})"
+    code += "for n in range(64, 128): v.save(f'devices/{n}', v.Verdict())"
     environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path.parent))
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path.parent / "clmorph")
     other = subprocess.Popen([sys.executable, "-c", code], env=environment)
@@ -334,8 +335,9 @@ def test_without_a_cache_folder_there_is_a_private_one(no_cache, monkeypatch):
     folder = storage.cache_folder()
     assert folder.parent == no_cache
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    verdicts.save_verdict("key", WORKS)
-    assert verdicts.load_verdict("key")["usable"]
+    verdicts.save("devices/key", WORKS)
+    verdicts._known.clear()  # as in a new process
+    assert verdicts.load("devices/key") == WORKS
     assert list(no_cache.iterdir()) == [folder]
     # Others may have made it, opened it, or put a link there: then there is none.
     folder.chmod(0o755)
@@ -349,7 +351,7 @@ def test_without_a_cache_folder_there_is_a_private_one(no_cache, monkeypatch):
     (no_cache / f"clmorph-{owner}").symlink_to(no_cache / f"clmorph-{owner + 1}")
     assert storage.cache_folder() is None
     assert storage.read_cached("devices/key.json") == b""
-    verdicts.save_verdict("other", WORKS)
+    verdicts.save("devices/other", WORKS)
     verdicts.forget()
 
 

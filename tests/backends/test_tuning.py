@@ -228,15 +228,16 @@ def test_a_tuned_build_that_fails_is_forgotten(device, tuned, words):
     operations = OpenCLOperations(device.device)
     assert operations.constants == tuned
     key = program_key(device.device, VARIANT, tuned)
-    verdicts.save_program_verdict(key, f"{words} {VARIANT}: softmin is off by 1 nats")
+    verdicts.save(key, verdicts.Verdict(f"{words} {VARIANT}: softmin is off by 1 nats"))
     with pytest.raises(DeviceError, match=r"tuned build: .* off by 1 nats; the tuning is now forg"):
         operations.programs.verify(VARIANT)
-    assert verdicts.load_verdict(verdicts.verdict_key(device.device)) is None
+    assert verdicts.load(verdicts.verdict_key(device.device)) is None
     assert OpenCLOperations(device.device).constants == choose_constants(device.device)
 
 
 def test_constants_of_the_caller_leave_the_tuning(device, tuned):
-    verdicts.save_program_verdict(program_key(device.device, VARIANT, tuned), "wrong result of x")
+    key = program_key(device.device, VARIANT, tuned)
+    verdicts.save(key, verdicts.Verdict("wrong result of x"))
     with pytest.raises(DeviceError, match="is unusable"):
         OpenCLOperations(device.device, tuned).programs.verify(VARIANT)
     assert tuned_constants(device.device) == tuned
@@ -250,7 +251,7 @@ def test_the_first_trial_leaves_the_tuned_build_out(device, tuned, monkeypatch):
         return "wrong result of all"
 
     monkeypatch.setattr(probe, "first_failure", failure)
-    assert not probe.probe(find.index_of(device.device))["usable"]
+    assert probe.probe(find.index_of(device.device)).reason == "wrong result of all"
     assert built == [choose_constants(device.device)]
 
 

@@ -3,7 +3,7 @@
 import json
 import re
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib import resources
 from pathlib import Path
 
@@ -32,14 +32,14 @@ from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
 from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, LOADED, Ended
-from clmorph.backends.opencl.devices.verdicts import OPTIONAL, WRONG
+from clmorph.backends.opencl.devices.verdicts import OPTIONAL, WRONG, Verdict
 from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.backends.records import ProgramError
 
 PLAIN = Variant("log_sum_exp.cl", 5)
 OTHER = Variant("plan_rows.cl", 3, precise=True)
 VARIANTS = all_variants()
-WORKS = {"usable": True, "reason": "", "pairs_per_second": 1.0, "lasting": True}
+WORKS = Verdict(pairs_per_second=1.0)
 
 pytestmark = pytest.mark.needs_device
 
@@ -197,7 +197,7 @@ def requests(monkeypatch, empty):
         asked.append(variants)
         for variant in variants:
             key = program_key(TESTED[0].handle, variant, constants)
-            verdicts.save_program_verdict(key, "")
+            verdicts.save(key, Verdict())
         return WORKS
 
     monkeypatch.setattr(trial, "run_probe", run_probe)
@@ -222,7 +222,7 @@ def key_of(device, variant=OTHER):
 
 
 def of_device(device):
-    return verdicts.load_verdict(verdicts.verdict_key(device.device))
+    return verdicts.load(verdicts.verdict_key(device.device))
 
 
 def checking(monkeypatch, folder, lines, body=""):
@@ -245,24 +245,20 @@ def test_a_program_is_verified_once(one, requests, empty):
     for _ in range(2):
         for variant in (*usual_variants(), OTHER):
             made(one).verify(variant)
-        verdicts._programs.clear()  # as in a new process
+        verdicts._known.clear()  # as in a new process
     assert len(requests) == 2
     assert len(list((empty / "verified").iterdir())) == len(usual_variants()) + 1
 
 
-@pytest.mark.parametrize(
-    "damaged",
-    ["", "{", "[]", '{"passed": 1, "reason": ""}', '{"passed": true, "reason": "x"}',
-     '{"passed": false, "reason": ""}', '{"passed": true}'],
-)  # fmt: skip
+@pytest.mark.parametrize("damaged", ["", "{", "[]", "{}", '{"reason": ""}'])
 def test_a_damaged_verdict_is_none(one, requests, empty, damaged):
     made(one).verify(OTHER)
-    verdicts._programs.clear()
+    verdicts._known.clear()
     (file,) = (empty / "verified").iterdir()
     file.write_text(damaged)
     made(one).verify(OTHER)
     assert len(requests) == 2
-    assert json.loads(file.read_text()) == {"passed": True, "reason": ""}
+    assert json.loads(file.read_text()) == asdict(Verdict())
 
 
 def test_without_a_cache_folder_the_process_remembers(one, requests, monkeypatch):
@@ -287,7 +283,7 @@ def test_another_verdict_is_needed(one, requests, monkeypatch, change):
 def test_a_wrong_program_makes_the_device_unusable(one, empty, monkeypatch):
     device = TESTED[0]
     reason = f"{WRONG}{OTHER}: softmin is off by 1 nats (tolerance 0.1)"
-    verdicts.save_program_verdict(key_of(one), reason)
+    verdicts.save(key_of(one), Verdict(reason))
     # Constants that somebody tries say nothing of those that are chosen.
     with pytest.raises(DeviceError, match="softmin is off"):
         made(one, chosen=False).verify(OTHER)
@@ -305,7 +301,7 @@ def test_a_wrong_program_makes_the_device_unusable(one, empty, monkeypatch):
         with pytest.raises(DeviceError, match="softmin is off"):
             devices.choose_device(device.index)
         assert devices.choose_device(device.index, even_wrong=True).computes_wrongly
-        verdicts._refused.clear()  # as in a new process
+        verdicts._known.clear()  # as in a new process
         devices.tried.cache_clear()
 
 
@@ -323,11 +319,11 @@ def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, wor
         assert "\n" not in str(caught.value)
         monkeypatch.setattr(trial, "_run", None)  # this process asks no second time
     assert (empty / "verified").exists() == lasting
-    verdicts._programs.clear()
-    assert bool(verdicts.load_program_verdict(key_of(one))) == lasting
+    verdicts._known.clear()
+    assert bool(verdicts.load(key_of(one))) == lasting
     # A check that ends without evidence refuses the program alone, and for this process alone.
     assert (of_device(one) is not None) == lasting
-    assert not lasting or of_device(one)["usable"] is False
+    assert not lasting or of_device(one).reason
 
 
 @pytest.mark.parametrize("body", ["os.abort()", "time.sleep(60)"])
@@ -345,11 +341,11 @@ def test_a_crash_or_a_hang_in_an_optional_program_costs_only_itself(one, empty, 
 @pytest.mark.parametrize("status", [-6, None, 3])
 def test_a_trial_that_ends_in_an_optional_program_counts(empty, status):
     """Its check comes after the verdict."""
-    lines = [LOADED, f"{trial.VERDICT} {json.dumps(WORKS)}"]
-    assert not trial._judge(Ended(status, lines), 60.0)["usable"]
+    lines = [LOADED, f"{trial.VERDICT} {json.dumps(asdict(WORKS))}"]
+    assert trial._judge(Ended(status, lines), 60.0).reason
     lines.append(f"{BEGUN} key {OPTIONAL[0]}")
     assert trial._judge(Ended(status, lines), 60.0) == WORKS
-    assert OPTIONAL[0] in verdicts.load_program_verdict("key").reason
+    assert OPTIONAL[0] in verdicts.load("key").reason
 
 
 @pytest.mark.parametrize("reason", ["", "refused", f"{WRONG}x"])
@@ -364,19 +360,15 @@ def test_a_trial_with_a_refused_optional_program(one, empty, monkeypatch, capsys
     monkeypatch.setattr(probe, "throughput", lambda *_, **__: 1.0)
     probe.main(TESTED[0].index)
     verdict = trial._judge(Ended(0, capsys.readouterr().out.splitlines()), 60.0)
-    assert (verdict["usable"], verdict["reason"]) == (
-        WRONG not in reason,
-        reason * (WRONG in reason),
-    )
+    assert verdict.reason == reason * (WRONG in reason)
     key = program_key(one.device, iterations, choose_constants(one.device))
-    assert verdicts.load_program_verdict(key).reason == reason
+    assert verdicts.load(key).reason == reason
 
 
 @pytest.mark.parametrize("reason", [f"{WRONG}x", "its driver crashed on x", "refused"])
 def test_of_the_further_programs_a_wrong_one_counts_in_a_trial(empty, monkeypatch, reason):
-    beside = {**WORKS, "usable": False, "reason": reason}
     monkeypatch.setattr(
-        devices, "run_probe", lambda _, request=None: beside if request else {**WORKS}
+        devices, "run_probe", lambda _, request=None: Verdict(reason) if request else WORKS
     )
     device = devices.tried(TESTED[0].index)
     assert (device.usable, device.reason) == ((False, reason) if WRONG in reason else (True, ""))
@@ -395,9 +387,9 @@ def test_resources_that_are_in_use_are_told_from_a_fault(one, monkeypatch, busy)
     monkeypatch.setattr(probe, "first_failure", fail)
     if busy:
         monkeypatch.setattr(cl, "Context", fail)
-    reason, lasting = probe._check(one, PLAIN)
-    assert "OUT_OF_RESOURCES" in reason
-    assert lasting is not busy
+    verdict = probe._check(one, PLAIN)
+    assert "OUT_OF_RESOURCES" in verdict.reason
+    assert verdict.lasting is not busy
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills as POSIX does")
@@ -412,7 +404,7 @@ def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):
         )  # fmt: skip
         with pytest.raises(DeviceError, match=r"was killed .*; try again"):
             made(one).verify(OTHER)
-    assert verdicts.load_program_verdict(key_of(one)) is None
+    assert verdicts.load(key_of(one)) is None
     assert of_device(one) is None
     # On a busy machine a real check may take longer than the limit for users.
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "300")
@@ -432,8 +424,8 @@ def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):
 )
 def test_how_a_probe_ends_is_told(empty, status, lines, words, lasting):
     verdict = trial._judge(Ended(status, lines, ["", "why", " "]), 60.0)
-    assert (verdict["usable"], verdict["lasting"]) == (False, lasting)
-    assert words in verdict["reason"]
+    assert verdict.lasting == lasting
+    assert words in verdict.reason
 
 
 def test_a_refused_build_is_of_one_program_only(one, empty, monkeypatch):
@@ -441,7 +433,7 @@ def test_a_refused_build_is_of_one_program_only(one, empty, monkeypatch):
     reason = f"{OTHER}: a device cannot build {OTHER.file}: 71:2: error: too long"
     lines = [
         LOADED, f"{BEGUN} {key_of(one)} {OTHER}", f"{ENDED} {json.dumps(reason)}",
-        f"{trial.VERDICT} {json.dumps(verdicts.failed(reason, lasting=True))}",
+        f"{trial.VERDICT} {json.dumps(asdict(Verdict(reason)))}",
     ]  # fmt: skip
     with monkeypatch.context() as patch:
         checking(patch, empty, lines)
@@ -449,8 +441,8 @@ def test_a_refused_build_is_of_one_program_only(one, empty, monkeypatch):
             with pytest.raises(DeviceError, match=r"cannot run this: .*dimension 3") as caught:
                 made(one).verify(OTHER)
             assert "\n" not in str(caught.value)
-            verdicts._programs.clear()
-    assert verdicts.load_program_verdict(key_of(one)).reason == reason
+            verdicts._known.clear()
+    assert verdicts.load(key_of(one)).reason == reason
     assert of_device(one) is None
     made(one).verify(Variant("log_sum_exp.cl", 4, precise=True))
 
@@ -484,8 +476,8 @@ def test_text_that_a_driver_prints_hides_nothing(one, empty, monkeypatch, reason
     )  # fmt: skip
     request = programs.make_request(one.constants, [OTHER])
     verdict = trial.run_probe(TESTED[0].index, request)
-    assert (verdict["usable"], verdict["reason"]) == (not reason, reason)
-    assert verdicts.load_program_verdict(key_of(one)).reason == reason
+    assert verdict.reason == reason
+    assert verdicts.load(key_of(one)).reason == reason
 
 
 @pytest.mark.parametrize(
@@ -545,4 +537,4 @@ def test_forced_quirks_have_a_verdict_of_their_own(monkeypatch):
     plain = verdicts.verdict_key(handle)
     monkeypatch.setenv("CLMORPH_QUIRKS", "small_groups")
     assert verdicts.verdict_key(handle) != plain
-    assert verdicts.device_key(handle) == plain
+    assert plain == f"devices/{verdicts.device_key(handle)}"

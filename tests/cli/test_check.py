@@ -136,7 +136,7 @@ def test_a_failed_check_ends_with_1_and_is_remembered(faked, capfd, asked):
     assert "FAIL" in printed.out
     assert "nearest its tolerance: splat, sigma 5 (200% of it)" in printed.out
     assert "unusable from now on" in printed.err
-    verdicts._refused.clear()  # as in a new process
+    verdicts._known.clear()  # as in a new process
     device = next(device for device in found_anew() if device.index == index)
     assert not device.usable
     assert "clmorph check: splat, sigma 5 is off by 2 u (tolerance 1)" in device.reason
@@ -271,8 +271,8 @@ def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path, fresh_se
     """What pip's PoCL is on processors it does not know: listed, with its reason, not chosen."""
     monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
     broken = TESTED[0].index
-    crashed = {"usable": False, "reason": "crashed (signal 6)", "pairs_per_second": 0.0}
-    works = {"usable": True, "reason": "", "pairs_per_second": 1.0}
+    crashed = verdicts.Verdict("crashed (signal 6)")
+    works = verdicts.Verdict(pairs_per_second=1.0)
     monkeypatch.setattr(
         devices, "run_probe", lambda index, **how: crashed if index == broken else works
     )

@@ -5,8 +5,7 @@ import json
 import os
 import sys
 import threading
-from dataclasses import replace
-from typing import Any
+from dataclasses import asdict, replace
 
 import numpy as np
 import pyopencl as cl
@@ -18,7 +17,7 @@ from clmorph.backends.opencl.build.variants import Variant, further_variants, us
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.devices.throughput import FEW_POINTS, seconds_of, throughput
 from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, FURTHER, LOADED, VERDICT
-from clmorph.backends.opencl.devices.verdicts import MANY_EIGHTHS, SLOW_FLOAT64, condemns, failed
+from clmorph.backends.opencl.devices.verdicts import Verdict, condemns
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
 from clmorph.backends.opencl.verification.findings import words_of
 from clmorph.backends.opencl.verification.table import first_failure
@@ -42,13 +41,13 @@ PASSING = (
 FEW_BYTES = 1 << 24
 
 
-def probe(index: str, request: str | None = None) -> dict[str, Any]:
+def probe(index: str, request: str | None = None) -> Verdict:
     """Return the verdict on the device with this index: see `opencl.devices.trial.run_probe`."""
     found = dict(raw_devices())
     if index not in found:
-        return failed("its probe did not find it", lasting=False)
-    device, speed, eighths = found[index], 0.0, 0
-    whole = request is None
+        return Verdict("its probe did not find it", lasting=False)
+    device, whole = found[index], request is None
+    speed, eighths = Verdict.pairs_per_second, Verdict.many_eighths
     try:
         if whole or request == FURTHER:
             # A tuned build is no reason to refuse the device; it is verified when it is used.
@@ -60,11 +59,11 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
         else:
             constants, variants = read_request(str(request))
         operations = OpenCLOperations(device, constants, verify=False, profiled=True)
-        failure: dict[str, Any] = {}
+        failure: Verdict | None = None
         for variant in variants:
-            reason, lasting = _check(operations, variant)
-            if reason:
-                failure = failure or failed(reason, lasting)
+            verdict = _check(operations, variant)
+            if verdict.reason:
+                failure = failure or verdict
                 # Each program of a request gets its own verdict.
                 if whole:
                     break
@@ -75,19 +74,16 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
             if not operations.on_processor:
                 eighths = many_eighths(operations, speed)
     except Exception as error:  # a driver's errors come in any class; the reason is shown
-        return failed(_words(error), lasting=not _is_passing(error, device))
-    verdict = {"usable": True, "reason": "", "pairs_per_second": speed, "lasting": True}
-    if whole and constants.precise < choose_constants(device).precise:
-        verdict[SLOW_FLOAT64] = True
-    if eighths:
-        verdict[MANY_EIGHTHS] = eighths
+        return Verdict(_words(error), lasting=not _is_passing(error, device))
+    slow = whole and constants.precise < choose_constants(device).precise
+    verdict = Verdict(pairs_per_second=speed, slow_float64=slow, many_eighths=eighths)
     iterations = Variant("half_steps.cl")
     if whole and iterations.suits(constants):
         # A crash from here on is that of a program that the host does without.
-        print(f"\n{VERDICT} {json.dumps(verdict)}", flush=True)
-        reason, lasting = _check(operations, iterations)
-        if condemns(reason, optional=True):
-            return failed(reason, lasting)
+        tell(verdict)
+        last = _check(operations, iterations)
+        if condemns(last.reason, optional=True):
+            return last
     return verdict
 
 
@@ -139,16 +135,17 @@ def _chosen_seconds(operations: OpenCLOperations, points: int, eighths: int) -> 
     return min(seconds_of(operations, run) for _ in range(RUNS))
 
 
-def _check(operations: OpenCLOperations, variant: Variant) -> tuple[str, bool]:
-    """Return what is wrong with a program, and whether another check would return the same."""
+def _check(operations: OpenCLOperations, variant: Variant) -> Verdict:
+    """Return the verdict on a program."""
     key = program_key(operations.device, variant, operations.constants)
     print(f"\n{BEGUN} {key} {variant}", flush=True)
     try:
-        reason, lasting = first_failure(operations, variant), True
+        verdict = Verdict(first_failure(operations, variant))
     except Exception as error:  # as in `probe`
-        reason, lasting = f"{variant}: {_words(error)}", not _is_passing(error, operations.device)
-    print(f"\n{ENDED} {json.dumps(reason if lasting else None)}", flush=True)
-    return reason, lasting
+        passing = _is_passing(error, operations.device)
+        verdict = Verdict(f"{variant}: {_words(error)}", lasting=not passing)
+    print(f"\n{ENDED} {json.dumps(verdict.reason if verdict.lasting else None)}", flush=True)
+    return verdict
 
 
 def _words(error: Exception) -> str:
@@ -198,8 +195,12 @@ def main(index: str, request: str | None = None) -> None:
     """Print what `opencl.devices.trial` reads; see the words there."""
     # The driver may crash from here on, so this line is printed first.
     print(f"\n{LOADED}", flush=True)
-    verdict = probe(index, request)
-    print(f"\n{VERDICT} {json.dumps(verdict)}", flush=True)
+    tell(probe(index, request))
+
+
+def tell(verdict: Verdict) -> None:
+    """Print the line of a verdict."""
+    print(f"\n{VERDICT} {json.dumps(asdict(verdict))}", flush=True)
 
 
 if __name__ == "__main__":

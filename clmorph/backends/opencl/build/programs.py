@@ -59,7 +59,7 @@ class Programs:
 
     def verify(self, variant: Variant) -> None:
         """Verify a program and those used with it, unless known; refuse a wrong or crashing one."""
-        verdict = verdicts.load_program_verdict(self._key(variant)) or self._verdict(variant)
+        verdict = verdicts.load(self._key(variant)) or self._verdict(variant)
         reason = verdict.reason
         if not reason:
             return
@@ -82,26 +82,26 @@ class Programs:
     def _key(self, variant: Variant) -> str:
         return program_key(self._device, variant, self._constants)
 
-    def _verdict(self, variant: Variant) -> verdicts.ProgramVerdict:
+    def _verdict(self, variant: Variant) -> verdicts.Verdict:
         """Verify a program whose verdict is unknown; its check comes first."""
         key, index = self._key(variant), index_of(self._device)
         if index is None or trial.interpreter() is None:
             assert self._check_here is not None
-            return verdicts.save_program_verdict(key, self._check_here(variant))
+            return verdicts.save(key, verdicts.Verdict(self._check_here(variant)))
         others = [
             other for other in used_together(variant)
             if other != variant and other.suits(self._constants)
-            and verdicts.load_program_verdict(self._key(other)) is None
+            and verdicts.load(self._key(other)) is None
         ]  # fmt: skip
         result = trial.run_probe(index, request=make_request(self._constants, [variant, *others]))
-        if (found := verdicts.load_program_verdict(key)) is not None:
+        if (found := verdicts.load(key)) is not None:
             return found
         # Its check ended without a verdict that another check would repeat.
-        reason = result["reason"] or "its check ended without a verdict"
-        if not result.get("timed_out"):
+        reason = result.reason or "its check ended without a verdict"
+        if not result.timed_out:
             # A kill, a lack of memory: the next use checks it again.
             raise DeviceError(f"{self._name()}: {variant} was not verified: {reason}; try again")
-        return verdicts.save_program_verdict(key, reason, lasting=False)
+        return verdicts.save(key, verdicts.Verdict(reason, lasting=False))
 
     def _name(self) -> str:
         return f"{' '.join(self._device.name.split())} ({self._device.platform.name.strip()})"
@@ -112,7 +112,7 @@ def program_key(device: cl.Device, variant: Variant, constants: BuildConstants) 
     key = program.build_key(device, variant.file, variant.macros(constants))
     # Not all constants are macros: by some of them the host chooses its launches.
     of_constants = hashlib.sha256(repr(constants).encode()).hexdigest()
-    return f"{key}-{of_constants[:8]}-{verdicts.code_identity()[:16]}"
+    return f"{verdicts.PROGRAMS}/{key}-{of_constants[:8]}-{verdicts.code_identity()[:16]}"
 
 
 def make_request(constants: BuildConstants, variants: list[Variant]) -> str:

@@ -13,11 +13,12 @@ from clmorph.backends.opencl.devices.runtimes import list_platforms
 from clmorph.backends.opencl.devices.trial import FURTHER, probe_seconds, run_probe
 from clmorph.backends.opencl.devices.verdicts import (
     WRONG,
+    Verdict,
     driver_identity,
     forget,
-    load_verdict,
+    load,
     refuse,
-    save_verdict,
+    save,
     verdict_key,
 )
 from clmorph.errors import DeviceError
@@ -88,7 +89,7 @@ def is_meant(text: str, index: str, names: str) -> bool:
     return text == index or text.lower() in names.lower()
 
 
-def describe(index: str, device: "cl.Device", verdict: dict[str, Any]) -> Device:
+def describe(index: str, device: "cl.Device", verdict: Verdict) -> Device:
     """Return a device with its properties and its verdict."""
     import pyopencl as cl
 
@@ -106,9 +107,9 @@ def describe(index: str, device: "cl.Device", verdict: dict[str, Any]) -> Device
         kind=kind,
         compute_units=device.max_compute_units,
         memory=device.global_mem_size,
-        usable=bool(verdict["usable"]),
-        reason=str(verdict["reason"]),
-        pairs_per_second=float(verdict["pairs_per_second"]),
+        usable=not verdict.reason,
+        reason=verdict.reason,
+        pairs_per_second=verdict.pairs_per_second,
         handle=device,
     )
 
@@ -163,16 +164,17 @@ def tried(index: str) -> Device:
     """Return a device of `raw_devices` with its verdict, for which it is tried if that is new."""
     handle = dict(raw_devices())[index]
     key = verdict_key(handle)
-    verdict = load_verdict(key)
+    verdict = load(key)
     if verdict is None:
         # Two processes, because compilers of OpenCL use one core.
         with ThreadPoolExecutor(1) as pool:
             further = pool.submit(run_probe, index, request=FURTHER)
             verdict = run_probe(index)
             beside = further.result()
-        if verdict["usable"] and beside["reason"].startswith(WRONG):
+        if not verdict.reason and beside.reason.startswith(WRONG):
             verdict = beside
-        save_verdict(key, verdict)
+        if verdict.lasting:
+            save(key, verdict)
     return describe(index, handle, verdict)
 
 

@@ -4,7 +4,7 @@ import os
 
 import pyopencl as cl
 
-from clmorph.backends.opencl.devices.verdicts import SLOW_FLOAT64, load_verdict, verdict_key
+from clmorph.backends.opencl.devices.verdicts import probed
 from clmorph.errors import InputError
 
 #: The number of rounds after which llvmpipe, Mesa's driver of CPUs, ends the loops of a work-item.
@@ -47,7 +47,7 @@ def find_quirks(device: cl.Device) -> frozenset[str]:
         found |= {"small_local_memory"}
     if not has_float64(device):
         found |= {"no_float64"}
-    elif (load_verdict(verdict_key(device)) or {}).get(SLOW_FLOAT64) is True:
+    elif probed(device).slow_float64:
         found |= {"slow_float64"}
     return found
 

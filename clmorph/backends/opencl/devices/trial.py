@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from clmorph._shared.validation import check_number
-from clmorph.backends.opencl.devices.verdicts import CRASHED, OPTIONAL, failed, save_program_verdict
+from clmorph.backends.opencl.devices.verdicts import CRASHED, OPTIONAL, Verdict, save
 
 #: Time limit in seconds to build and check a program, and the variable that changes it.
 PROBE_SECONDS = 60.0
@@ -54,29 +54,25 @@ def probe_seconds() -> float:
     return check_number(PROBE_SECONDS_VARIABLE, value, 1, 3600)
 
 
-def run_probe(index: str, request: str | None = None) -> dict[str, Any]:
+def run_probe(index: str, request: str | None = None) -> Verdict:
     """Build and verify kernels on a device of `raw_devices`, in a separate process.
 
     `request` names the programs to verify (`programs.make_request`, or `FURTHER`); by default they
     are those that most morphs use, and the speed is measured. Each may take `probe_seconds`. The
     verdicts on the programs that were checked are saved, even if the process then fails.
-
-    The result has the entries usable (bool), reason (str), pairs_per_second (float), lasting
-    (bool), which states whether another probe would return the same verdict, and if it ran out of
-    time, timed_out (True).
     """
     seconds, python = probe_seconds(), interpreter()
     if python is None:
-        return failed(
+        return Verdict(
             f"cannot be tried, because {sys.executable or 'an empty sys.executable'!r} is no "
-            "Python interpreter: name one with multiprocessing.set_executable"
-        )
+            "Python interpreter: name one with multiprocessing.set_executable", lasting=False,
+        )  # fmt: skip
     # The probe ends when this pipe is closed, which happens however this process ends.
     reading, writing = os.pipe()
     try:
         ended = _run(_command(python, index, request), seconds, reading)
     except OSError as error:
-        return failed(f"cannot be tried ({python}: {error.strerror})")
+        return Verdict(f"cannot be tried ({python}: {error.strerror})", lasting=False)
     finally:
         os.close(reading)
         os.close(writing)
@@ -133,15 +129,15 @@ def _read(pipe: IO[str], lines: list[str]) -> None:
             lines.append(line.rstrip("\r\n"))
 
 
-def _judge(ended: Ended, seconds: float) -> dict[str, Any]:
+def _judge(ended: Ended, seconds: float) -> Verdict:
     """Return the verdict of a probe that has ended."""
     status, lines = ended.status, ended.lines
     key, name = _keep_program_verdicts(lines)
-    found: dict[str, Any] = {}
+    found: Verdict | None = None
     for line in lines:
         word, _, rest = line.partition(" ")
         with contextlib.suppress(ValueError, TypeError):
-            found = dict(json.loads(rest)) if word == VERDICT else found
+            found = Verdict(**json.loads(rest)) if word == VERDICT else found
     if found and status == 0:
         return found
     noise = next((line.strip() for line in ended.errors[::-1] if line.strip()), "no output")
@@ -165,11 +161,10 @@ def _judge(ended: Ended, seconds: float) -> dict[str, Any]:
         # The probe had not opened the device yet, so the driver is not the cause of the failure.
         lasting, reason = False, f"its probe ended with status {status}: {noise}"
     if key and (lasting or (status is None and name in OPTIONAL)):
-        save_program_verdict(key, reason, lasting)
+        save(key, Verdict(reason, lasting))
     if found and name in OPTIONAL:
         return found
-    verdict = failed(reason, lasting)
-    return verdict | {"timed_out": True} if status is None else verdict
+    return Verdict(reason, lasting, timed_out=status is None)
 
 
 def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
@@ -183,7 +178,7 @@ def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
             # Failures that another check need not repeat have null in place of a reason.
             with contextlib.suppress(ValueError):
                 if isinstance(reason := json.loads(rest), str):
-                    save_program_verdict(key, reason)
+                    save(key, Verdict(reason))
             key = name = ""
     return key, name
 

@@ -4,40 +4,47 @@ import hashlib
 import math
 import os
 import platform
+from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 from clmorph.backends.opencl.devices.cache import forget_cached, load_record, save_record
 
 if TYPE_CHECKING:
     import pyopencl as cl
 
-#: What the reason of a verdict begins with if results were wrong: no crash, no refusal.
-WRONG = "wrong result of "
+#: What the reason of a verdict begins with if results were wrong, and if the driver ended the
+#: process of the check.
+WRONG, CRASHED = "wrong result of ", "its driver crashed"
 #: Files of iterations: where the driver refuses or crashes on one, the host iterates instead.
 OPTIONAL = ("half_steps.cl", "sparse_half_steps.cl")
-#: The entry of a verdict on a device that is slower in float64 than in pairs of float32.
-SLOW_FLOAT64 = "slow_float64"
-#: The entry with the result of `probe.many_eighths`, and its value on CPUs, where it is not
-#: measured.
-MANY_EIGHTHS, USUAL_EIGHTHS = "many_eighths", 5
-#: What the reason of a verdict begins with if the driver ended the process of the check.
-CRASHED = "its driver crashed"
-#: The folders of verdicts on devices and on programs in the cache, with one file for each verdict.
-_DEVICES, _PROGRAMS = "devices", "verified"
+#: The folders of verdicts on devices and on programs in the cache, with which their keys begin.
+DEVICES, PROGRAMS = "devices", "verified"
 
 
-class ProgramVerdict(NamedTuple):
-    """What is wrong with a program, '' if nothing is, and whether another check would find it."""
+@dataclass(frozen=True)
+class Verdict:
+    """What is wrong with a device or a program, '' if nothing is; what a device's trial found."""
 
-    reason: str
+    reason: str = ""
+    #: Whether another trial would find the same.
     lasting: bool = True
+    #: Whether the trial ran out of time.
+    timed_out: bool = False
+    #: Point pairs per second in the log-sum-exp; 0 if unknown.
+    pairs_per_second: float = 0.0
+    #: Whether the device is slower in float64 than in pairs of float32.
+    slow_float64: bool = False
+    #: From how many eighths of a tile's columns on all are summed faster (`probe.many_eighths`),
+    #: which is not measured on CPUs.
+    many_eighths: int = 5
 
 
-#: Verdicts on devices that this process has refused, and on programs, by their keys.
-_refused: dict[str, dict[str, Any]] = {}
-_programs: dict[str, ProgramVerdict] = {}
+_TYPES = {each.name: type(each.default) for each in fields(Verdict)}
+#: Verdicts that this process knows, by their keys, and the keys of devices that it has refused.
+_known: dict[str, Verdict] = {}
+_refused: set[str] = set()
 
 
 @cache
@@ -75,7 +82,8 @@ def device_key(device: "cl.Device") -> str:
 def verdict_key(device: "cl.Device") -> str:
     """Return the key of the verdict on a device, which differs if quirks are forced."""
     forced = sorted(filter(None, os.environ.get("CLMORPH_QUIRKS", "").split(",")))
-    return _digest(device_key(device), *forced) if forced else device_key(device)
+    key = device_key(device)
+    return f"{DEVICES}/{_digest(key, *forced) if forced else key}"
 
 
 def driver_identity(device: "cl.Device") -> tuple[str, str, str, str]:
@@ -89,19 +97,30 @@ def _digest(*identity: str) -> str:
     return hashlib.sha256("|".join(identity).encode()).hexdigest()[:32]
 
 
-# --- devices ------------------------------------------------------------------------------
+def load(key: str) -> Verdict | None:
+    """Return the verdict of a `verdict_key` or a `program_key`; None if missing or damaged."""
+    if key not in _known:
+        record = load_record(key)
+        if {name: type(value) for name, value in record.items()} != _TYPES:
+            return None
+        verdict = Verdict(**record)
+        if not (0 <= verdict.pairs_per_second < math.inf and 0 < verdict.many_eighths <= 8):
+            return None
+        _known[key] = verdict
+    return _known[key]
 
 
-def load_verdict(key: str) -> dict[str, Any] | None:
-    """Return the verdict of a `verdict_key` (`trial.run_probe`); None if missing or damaged."""
-    if key in _refused:
-        return _refused[key]
-    verdict = load_record(f"{_DEVICES}/{key}")
-    usable, reason = verdict.get("usable"), verdict.get("reason")
-    speed = verdict.get("pairs_per_second")
-    whole = isinstance(usable, bool) and isinstance(reason, str) and usable != bool(reason)
-    whole = whole and isinstance(speed, float) and math.isfinite(speed) and speed >= 0
-    return verdict if whole else None
+def save(key: str, verdict: Verdict) -> Verdict:
+    """Remember a verdict; only in this process if its cause is temporary."""
+    if verdict.lasting:
+        save_record(key, asdict(verdict))
+    _known[key] = verdict
+    return verdict
+
+
+def probed(device: "cl.Device") -> Verdict:
+    """Return the verdict on a device, or an empty one."""
+    return load(verdict_key(device)) or Verdict()
 
 
 def probed_speed(device: "cl.Device") -> float:
@@ -112,31 +131,13 @@ def probed_speed(device: "cl.Device") -> float:
         part = device.parent_device is not None
     except cl.Error:  # OpenCL 1.1 has no parts
         part = False
-    verdict = None if part else load_verdict(verdict_key(device))
-    return float((verdict or {}).get("pairs_per_second", 0.0))
-
-
-def probed_eighths(device: "cl.Device") -> int:
-    """Return of how many eighths of a tile's columns on the device is faster with all of them."""
-    found = (load_verdict(verdict_key(device)) or {}).get(MANY_EIGHTHS)
-    return found if type(found) is int and 0 < found <= 8 else USUAL_EIGHTHS
-
-
-def save_verdict(key: str, verdict: dict[str, Any]) -> None:
-    """Store a verdict, unless its cause is temporary."""
-    if verdict.get("lasting", True):
-        save_record(f"{_DEVICES}/{key}", verdict)
-
-
-def failed(reason: str, lasting: bool = False) -> dict[str, Any]:
-    """Return the verdict on a device that is unusable for a reason."""
-    return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": lasting}
+    return 0.0 if part else probed(device).pairs_per_second
 
 
 def refuse(key: str, reason: str) -> None:
     """Remember that a device is unusable, in this process even if nothing can be stored."""
-    _refused[key] = failed(reason, lasting=True)
-    save_verdict(key, _refused[key])
+    _refused.add(key)
+    save(key, Verdict(reason))
 
 
 def refusals() -> int:
@@ -146,35 +147,12 @@ def refusals() -> int:
 
 def forget(key: str | None = None) -> None:
     """Forget the verdict on a device, by default on all devices, and those on all programs."""
-    if key is None:
-        _refused.clear()
-    else:
-        _refused.pop(key, None)
-    forget_cached(_DEVICES if key is None else f"{_DEVICES}/{key}.json")
-    _programs.clear()
-    forget_cached(_PROGRAMS)
-
-
-# --- programs -----------------------------------------------------------------------------
-
-
-def load_program_verdict(key: str) -> ProgramVerdict | None:
-    """Return the verdict on a program; None if it must be verified."""
-    if key not in _programs:
-        record = load_record(f"{_PROGRAMS}/{key}")
-        passed, reason = record.get("passed"), record.get("reason")
-        if not (isinstance(passed, bool) and isinstance(reason, str) and passed != bool(reason)):
-            return None
-        _programs[key] = ProgramVerdict(reason)
-    return _programs[key]
-
-
-def save_program_verdict(key: str, reason: str, lasting: bool = True) -> ProgramVerdict:
-    """Remember what is wrong with a program; only in this process if not `lasting`."""
-    if lasting:
-        save_record(f"{_PROGRAMS}/{key}", {"passed": not reason, "reason": reason})
-    _programs[key] = ProgramVerdict(reason, lasting)
-    return _programs[key]
+    for each in list(_known):
+        if key in (None, each) or each.startswith(PROGRAMS):
+            del _known[each]
+    _refused.intersection_update(_known)
+    forget_cached(DEVICES if key is None else f"{key}.json")
+    forget_cached(PROGRAMS)
 
 
 def condemns(reason: str, optional: bool = False) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clmorph._shared.boxes import boxes_of_runs
 from clmorph.backends.opencl.build.constants import SENTINEL, SLICED_FROM
-from clmorph.backends.opencl.devices.verdicts import probed_eighths
+from clmorph.backends.opencl.devices.verdicts import probed
 from clmorph.backends.opencl.kernels.candidates import candidates
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, unsort
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
@@ -54,7 +54,7 @@ class NearField:
 
     def __init__(self, loop: RowLoop, log_sum_exp: LogSumExp) -> None:
         self._loop, self._log_sum_exp = loop, log_sum_exp
-        self.many_eighths = probed_eighths(loop.work.device)
+        self.many_eighths = probed(loop.work.device).many_eighths
         self._bounds = TileBoundKernel(loop)
 
     def near_pairs(
