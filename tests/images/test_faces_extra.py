@@ -126,7 +126,7 @@ def test_a_person_moves_as_a_person(rng):
     assert 0.3 < masks[0].mean() < 0.8
     assert masks[0][150, 220]  # the face
     assert not masks[0][30, 20]
-    morph = clmorph.morph(*images, labels="auto", size=48, n_frames=2, backend="numpy")
+    morph = clmorph.morph(*images, labels="auto", size=24, n_frames=2, backend="numpy")
     assert morph.arrays == ("labels",)
     one, other = (labels.ravel() for labels in morph.particles.labels)
     assert np.array_equal(one[morph.plan.rows], other[morph.plan.indices])
@@ -137,7 +137,7 @@ def test_the_command_line_makes_the_film_again_without_the_detector(tmp_path, mo
     monkeypatch.chdir(tmp_path)
     for name in ("close", "other"):
         clmorph.write_image(f"{name}.png", portraits()[name])
-    options = ["--size", "32", "--frames", "3", "--backend", "numpy", "--labels", "auto"]
+    options = ["--size", "20", "--frames", "3", "--backend", "numpy", "--labels", "auto"]
     assert main(["morph", "close.png", "other.png", "-o", "a.gif", *options]) == 0
     said = capfd.readouterr().err
     assert f"landmarks: one face in each picture: {len(MESH)} points" in said

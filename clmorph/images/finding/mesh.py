@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from typing import Any
 
@@ -67,14 +67,23 @@ def _solutions() -> Iterator[Any]:
 def mesh_faces(copy: Copy, numbers: tuple[int, ...] = MESH) -> list[Array]:
     """Return points of each face, the largest first: (n, 2) arrays in pixels of the copy."""
     found: list[Array] = []
-    with _solutions() as models:
-        boxes = _boxes(copy.pixels, models)
+    with _solutions() as models, ExitStack() as opened:
+        # For faces far away, and for near ones.
+        detectors = [
+            opened.enter_context(
+                models.face_detection.FaceDetection(
+                    min_detection_confidence=0.5, model_selection=kind
+                )
+            )
+            for kind in (1, 0)
+        ]
+        boxes = _boxes(copy.pixels, detectors)
         if not boxes:
             margin = int(MARGIN * max(copy.pixels.shape[:2]))
             padded = np.pad(copy.pixels, ((margin,) * 2, (margin,) * 2, (0, 0)), mode="edge")
-            boxes = [box - (margin, margin, 0.0) for box in _boxes(padded, models)]
+            boxes = [box - (margin, margin, 0.0) for box in _boxes(padded, detectors)]
         if not boxes:
-            boxes = _small_boxes(copy.pixels, models)
+            boxes = _small_boxes(copy.pixels, detectors)
         with models.face_mesh.FaceMesh(static_image_mode=True, max_num_faces=1) as model:
             for box in boxes[:MOST_FACES]:
                 places = _mesh(copy.pixels, box, model)
@@ -93,29 +102,26 @@ def person(copy: Copy) -> BoolArray | None:
     return found if PERSON[0] < found.mean() < PERSON[1] else None
 
 
-def _boxes(pixels: Bytes, models: Any) -> list[Array]:
+def _boxes(pixels: Bytes, detectors: list[Any]) -> list[Array]:
     """Return boxes of faces, the largest first: middle and longer side, in pixels."""
     height, width = pixels.shape[:2]
     found: list[Array] = []
-    for kind in (1, 0):  # for faces far away, and for near ones
-        with models.face_detection.FaceDetection(
-            min_detection_confidence=0.5, model_selection=kind
-        ) as model:
-            for each in model.process(pixels).detections or []:
-                box = each.location_data.relative_bounding_box
-                middle = (box.xmin + box.width / 2) * width, (box.ymin + box.height / 2) * height
-                found.append(np.array([*middle, max(box.width * width, box.height * height)]))
+    for detector in detectors:
+        for each in detector.process(pixels).detections or []:
+            box = each.location_data.relative_bounding_box
+            middle = (box.xmin + box.width / 2) * width, (box.ymin + box.height / 2) * height
+            found.append(np.array([*middle, max(box.width * width, box.height * height)]))
     return _distinct(found)
 
 
-def _small_boxes(pixels: Bytes, models: Any) -> list[Array]:
+def _small_boxes(pixels: Bytes, detectors: list[Any]) -> list[Array]:
     """Return boxes of faces that are found in nine overlapping parts, the largest first."""
     height, width = pixels.shape[:2]
     found: list[Array] = []
     for top in (0, height // 4, height // 2):
         for left in (0, width // 4, width // 2):
             part = np.ascontiguousarray(pixels[top : top + height // 2, left : left + width // 2])
-            found += [box + np.array((left, top, 0.0)) for box in _boxes(part, models)]
+            found += [box + np.array((left, top, 0.0)) for box in _boxes(part, detectors)]
     return _distinct(found)
 
 
