@@ -116,7 +116,7 @@ def _read_lut(request: Request) -> Lut | None:
 
 def _read_mask(request: Request, shape: Sequence[int]) -> Any:
     """Return the mask as an (H, W) array in [0, 1], by luminance and opacity."""
-    from clmorph.images.gamut import LUMINANCE
+    from clmorph.images.color import LUMINANCE
 
     (path,) = request.beside["mask"]
     pixels = as_unit(read_picture(path, request.max_pixels))

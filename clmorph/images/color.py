@@ -14,7 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from clmorph._shared.threads import in_order
-from clmorph._shared.typing import Array, ArrayLike
+from clmorph._shared.typing import Array, ArrayLike, BoolArray
 from clmorph._shared.validation import check_choice
 from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
@@ -47,6 +47,13 @@ PART = 1 << 16
 #: Samples of each channel over which the scale of a space is averaged.
 _SCALE_STEPS = 17
 
+#: Distance, in coordinates of a space, up to which a color that was clipped counts as the same.
+_SAME_COLOR = 1e-3
+#: Halvings of the interval in which the largest chroma lies.
+_HALVINGS = 10
+#: Weights of red, green and blue in luminance (IEC 61966-2-1), for spaces without lightness.
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
 
 def to_space(colors: ArrayLike, space: str) -> Array:
     """Convert sRGB (..., 3) in [0, 1] to coordinates of a color space, in this module's unit."""
@@ -64,6 +71,44 @@ def from_space(coordinates: ArrayLike, space: str) -> Array:
         return np.clip(np.nan_to_num(convert(part * scale)), 0.0, 1.0)
 
     return _in_parts(converted, np.asarray(coordinates, float))
+
+
+def into_gamut(coordinates: Array, space: str) -> Array:
+    """Convert coordinates (N, 3) to sRGB; colors outside move towards their gray, and keep hue."""
+    colors = from_space(coordinates, space)
+    # A color that was clipped has a channel at a bound.
+    edge = np.flatnonzero(((colors <= 0.0) | (colors >= 1.0)).any(axis=1))
+    outside = edge[~_is_same(coordinates[edge], colors[edge], space)]
+    if not len(outside):
+        return colors
+    wanted = coordinates[outside]
+    gray = _gray(wanted, space)
+    low, high = np.zeros(len(wanted)), np.ones(len(wanted))
+    for _ in range(_HALVINGS):
+        share = 0.5 * (low + high)
+        tried = gray + share[:, None] * (wanted - gray)
+        inside = _is_same(tried, from_space(tried, space), space)
+        low, high = np.where(inside, share, low), np.where(inside, high, share)
+    colors[outside] = from_space(gray + low[:, None] * (wanted - gray), space)
+    return colors
+
+
+def _is_same(coordinates: Array, colors: Array, space: str) -> BoolArray:
+    """Return whether colors in sRGB are those of the coordinates: (N,) array of bool."""
+    return np.asarray(
+        np.abs(to_space(colors, space) - coordinates).max(axis=1) <= _SAME_COLOR, bool
+    )
+
+
+def _gray(coordinates: Array, space: str) -> Array:
+    """Return the grays of the lightness of colors, in coordinates of the space."""
+    if space in ("srgb", "linear"):
+        values = np.repeat((coordinates @ LUMINANCE)[:, None], 3, axis=1)
+    else:
+        values = np.zeros_like(coordinates)
+        values[:, 0] = coordinates[:, 0]
+    white = to_space(np.ones(3), space)
+    return np.clip(values, 0.0, np.maximum(white, 0.0))
 
 
 def _in_parts(convert: Callable[[Array], Array], colors: Array) -> Array:

@@ -18,8 +18,7 @@ from clmorph.backends.arrays import as_array
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
-from clmorph.images.color import to_space
-from clmorph.images.gamut import into_gamut
+from clmorph.images.color import into_gamut, to_space
 from clmorph.images.pixels import as_pixels, split_alpha
 from clmorph.measures.points import WeightedPoints
 from clmorph.pipeline.color_map import ColorMap, color_map

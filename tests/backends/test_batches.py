@@ -9,8 +9,8 @@ from clouds import PAIRS
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.kernels.clouds import tile_order
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
-from clmorph.backends.opencl.kernels.tiles import tile_order
 from clmorph.backends.opencl.verification.bench import log_sum_exp_tolerance
 from clmorph.backends.opencl.verification.table import first_failure
 

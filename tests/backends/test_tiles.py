@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from clmorph.backends.opencl.kernels.tiles import tile_order
+from clmorph.backends.opencl.kernels.clouds import tile_order
 
 
 @pytest.mark.parametrize("n", [1, 2, 63, 64, 65, 127, 129, 1000, 4096])

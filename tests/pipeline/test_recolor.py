@@ -9,8 +9,7 @@ from PIL import Image
 
 import clmorph
 from clmorph.errors import InputError
-from clmorph.images.color import COLOR_SPACES, to_space
-from clmorph.images.gamut import into_gamut
+from clmorph.images.color import COLOR_SPACES, into_gamut, to_space
 from clmorph.pipeline import recolor as module
 from clmorph.pipeline.color_map import color_map
 

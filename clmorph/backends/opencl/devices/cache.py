@@ -15,28 +15,19 @@ from clmorph._shared.staging import staging_folder
 
 def cache_folder() -> Path | None:
     """Return the folder of the cache, or a private temporary one; None if none is writable."""
-    for folder in _wanted_folders():
-        # A relative path would be another folder after each change of directory.
-        if folder.is_absolute() and _can_write(folder):
-            return folder
-    return _private_folder()
-
-
-def _wanted_folders() -> list[Path]:
-    folders = [Path(platformdirs.user_cache_dir("clmorph", appauthor=False))]
-    if not folders[0].is_absolute():
+    wanted = [Path(platformdirs.user_cache_dir("clmorph", appauthor=False))]
+    if not wanted[0].is_absolute():
         # The XDG specification requires that a relative XDG_CACHE_HOME is ignored.
         with contextlib.suppress(RuntimeError):  # the user has no home
-            folders.append(Path.home() / ".cache" / "clmorph")
-    return folders
-
-
-def _can_write(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError):
-        return False
-    return os.access(folder, os.W_OK | os.X_OK)
+            wanted.append(Path.home() / ".cache" / "clmorph")
+    for folder in wanted:
+        # A relative path would be another folder after each change of directory.
+        if folder.is_absolute():
+            with contextlib.suppress(OSError, ValueError):
+                folder.mkdir(parents=True, exist_ok=True)
+                if os.access(folder, os.W_OK | os.X_OK):
+                    return folder
+    return _private_folder()
 
 
 def _private_folder() -> Path | None:

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from clmorph._shared.boxes import boxes_of_runs
 from clmorph.backends.opencl.build.constants import SENTINEL
-from clmorph.backends.opencl.kernels.clouds import Cloud, upload
+from clmorph.backends.opencl.kernels.clouds import Cloud, tile_order, upload
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
-from clmorph.backends.opencl.kernels.tiles import tile_order
 from clmorph.backends.records import Float64
 
 

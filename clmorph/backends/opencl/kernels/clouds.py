@@ -13,13 +13,14 @@ from clmorph._shared.boxes import boxes_of_runs
 from clmorph.backends.interface import MAX_POINTS
 from clmorph.backends.opencl.build.constants import SENTINEL, SLICED_FROM, BuildConstants
 from clmorph.backends.opencl.kernels.launches import Workspace
-from clmorph.backends.opencl.kernels.tiles import tile_order
 from clmorph.backends.records import Float64
 from clmorph.errors import DeviceError
 
 #: The number of consecutive tiles that are bounded together. They are compact too, because tiles
 #: are leaves of a tree.
 WIDTH_OF_GROUPS = 8
+#: Bits of a sorting key: the position of a point in its segment, and the index of the point.
+PLACE_BITS, POINT_BITS = 20, 24
 #: Added to the normal equations, relative to their trace: points of a tile may lie in a plane.
 RIDGE = 1e-6
 
@@ -194,6 +195,56 @@ def upload(
         box=boxes_of_runs(points)[:, 0],
         planes=planes if keep else None,
     )
+
+
+def tile_order(
+    points: NDArray[np.float64],
+    size: int,
+    counts: NDArray[np.int64] | None = None,
+    part: int | None = None,
+) -> NDArray[np.intp]:
+    """Return the order, (N,), of tiles of `size` points and parts of `part`, cloud by cloud."""
+    # Tiles are leaves of a k-d tree, compact so that differences in them suffice in float32.
+    # Segments are halved along their longest side, at a multiple of `size` so that only the last
+    # tile can be partly filled. Ties keep their order. There are at most 2^24 points, 2^18 clouds.
+    count = len(points)
+    everyone = np.arange(count)
+    order, columns = everyone, points.T.copy()
+    bounds = np.array([0, count]) if counts is None else np.append(0, np.cumsum(counts))
+    firsts = bounds[:-1]
+    while True:
+        counts = np.diff(bounds)
+        unit = size if part is None else np.where(counts > size, size, part)
+        units = -(-counts // unit)
+        if units.max(initial=0) <= 1:
+            return order.astype(np.intp)
+        starts = bounds[:-1]
+        low = np.minimum.reduceat(columns, starts, axis=1)
+        sides = np.maximum.reduceat(columns, starts, axis=1) - low
+        axis = np.argmax(sides, axis=0)
+        number = np.arange(len(counts))
+        side = sides[axis, number]
+        scale = np.zeros(len(counts))
+        np.divide(2**PLACE_BITS - 1, side, out=scale, where=side > 1e-290)
+        # A cloud that is done keeps its order, which is then that of this cloud alone.
+        if len(firsts) > 1:
+            segments = np.searchsorted(starts, firsts)
+            left = np.maximum.reduceat(units, segments) > 1
+            scale *= np.repeat(left, np.diff(np.append(segments, len(starts))))
+        places = columns.ravel().take(np.repeat(axis * count, counts) + everyone)
+        places -= np.repeat(low[axis, number], counts)
+        places *= np.repeat(scale, counts)
+        # Each key is one integer of segment, position in it, and index, so that keys are distinct.
+        keys = np.repeat(number << PLACE_BITS, counts)
+        keys += places.astype(np.int64)
+        keys <<= POINT_BITS
+        keys += everyone
+        keys.sort()
+        keys &= 2**POINT_BITS - 1
+        order, columns = order[keys], columns.take(keys, axis=1)
+        middle = starts + unit * ((units + 1) // 2)
+        # All are distinct, and a stable sort of two ascending runs merges them.
+        bounds = np.sort(np.concatenate((bounds, middle[units > 1])), kind="stable")
 
 
 def centered_tiles(points: Float64, tile: int) -> tuple[Float64, Float64]:

@@ -35,17 +35,6 @@ class ColumnBoxes(NamedTuple):
     sides: cl.Buffer  #: (tiles, D) half sides of the tiles
 
 
-class _Clouds(NamedTuple):
-    """Two clouds, the terms of their exponents, and an estimate of log2 of the rows' sums."""
-
-    rows: Cloud
-    columns: Cloud
-    exponents: Exponents
-    guess: Float64
-    slopes: cl.Buffer  #: (row tiles, D) float32: k times those of `row_bounds`
-    boxes: ColumnBoxes  #: of the columns
-
-
 class NearField:
     """Finds the pairs that contribute to the rows' sums."""
 
@@ -78,7 +67,7 @@ class NearField:
         bounds = row_bounds(rows, guess, k)
         slopes = self._loop.work.buffer(k * bounds.slopes)
         boxes = column_boxes(self._loop, columns, values, exponents.tile_max, k)
-        clouds = _Clouds(rows, columns, exponents, guess, slopes, boxes)
+        limits = guess + k * (rows.own_costs - rows.offsets)
         for part, pairs, unseen in candidates(
             self._bounds, rows, columns, bounds, guess, values, k, UNSEEN * budget
         ):
@@ -89,7 +78,9 @@ class NearField:
             own = np.maximum.reduceat(pairs.distances, starts[:-1])
             radii = rows.radii[part.start : part.stop] + columns.radii.max()
             farthest = max(farthest, _largest_cost(own, radii))
-            marks, marked = self._marked(clouds, pairs, part, np.log2(threshold))
+            marks, marked = self._marked(
+                rows, columns, exponents, pairs, part, limits, np.log2(threshold), slopes, boxes
+            )
             of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
             _complete(marks, marked, of_groups, starts, pairs.distances, tile)
             keep = functools.reduce(np.maximum, marked.T) > 0
@@ -124,23 +115,22 @@ class NearField:
         )
 
     def _marked(
-        self, clouds: _Clouds, pairs: TilePairs, part: range, log2_threshold: Float64
-    ) -> tuple[NDArray[np.uint64], NDArray[np.uint16]]:
-        """Return masks and counts of the columns above each row tile's threshold (log2)."""
-        (rows, columns, terms, guess, slopes, boxes), loop = clouds, self._loop
+        self, rows: Cloud, columns: Cloud, terms: Exponents, pairs: TilePairs, part: range,
+        limits: Float64, log2_threshold: Float64, slopes: cl.Buffer, boxes: ColumnBoxes,
+    ) -> tuple[NDArray[np.uint64], NDArray[np.uint16]]:  # fmt: skip
+        """Return masks and counts of the columns above each row tile's threshold (log2).
+
+        `limits` are an estimate of log2 of the rows' sums less their levels, and `slopes`, (row
+        tiles, D), k times those of `row_bounds`.
+        """
+        loop, tile = self._loop, self._loop.constants.tile
         kernel = loop.kernel("near_field.cl", "mark_columns", rows, listed=True)
         exponents = loop.with_levels(terms, rows, columns, pairs, part, precise=False)
-        tile = loop.constants.tile
-        section = slice(part.start * tile, min(len(rows), part.stop * tile))
-        # No column counts for the rows of the padding.
-        limits = np.full(len(part) * tile, -SENTINEL)
-        some = slice(section.stop - section.start)
-        limits[some] = guess[section] + exponents.k * (
-            rows.own_costs[section] - rows.offsets[section]
-        )
         of_tiles = log2_threshold - exponents.row_level[part.start : part.stop]
-        limits[some] += np.repeat(of_tiles, tile)[some]
-        limits = np.clip(limits, SENTINEL, -SENTINEL)
+        own = limits[part.start * tile : part.stop * tile]
+        own = own + np.repeat(of_tiles, tile)[: len(own)]
+        # No column counts for the rows of the padding.
+        limits = np.clip(pad(own, len(part) * tile, -SENTINEL), SENTINEL, -SENTINEL)
         shape = len(pairs.tiles), tile // loop.constants.group_rows, -(-tile // 64)
         masks, counts = np.empty(shape, np.uint64), np.empty(shape[:2], np.uint16)
         found = tuple((each, loop.work.empty(each.nbytes)) for each in (counts, masks))
