@@ -9,11 +9,11 @@ import ipaddress
 import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers
+from starlette.datastructures import MutableHeaders
+from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -92,11 +92,11 @@ class Guard:
             return
         if scope["type"] != "http":
             return
-        headers = Headers(scope=scope)
-        name = f"{COOKIE}{self._access.port}"
-        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        given = query.get(TOKEN, [""])[0] if scope["path"] == "/" else ""
-        why = self._access.refusal(headers, scope["path"], given or _cookie(headers, name))
+        request, name = Request(scope), f"{COOKIE}{self._access.port}"
+        headers = request.headers
+        given = request.query_params.get(TOKEN, "") if scope["path"] == "/" else ""
+        cookie = given or request.cookies.get(name, "")
+        why = self._access.refusal(headers, scope["path"], cookie)
         answer = self._app
         if len(headers.getlist("host")) != 1 or why:
             answer = PlainTextResponse((why or "expected one host") + "\n", 403)
@@ -107,24 +107,12 @@ class Guard:
         await answer(scope, receive, _with_headers(send))
 
 
-def _cookie(headers: Headers, name: str) -> str:
-    try:
-        found = SimpleCookie(headers.get("cookie", "")).get(name)
-    except CookieError:
-        return ""
-    return found.value if found is not None else ""
-
-
 def _with_headers(send: Send) -> Callable[[Any], Any]:
     async def sending(message: Any) -> None:
         if message["type"] == "http.response.start":
-            known = {name.lower() for name, _ in message.get("headers", [])}
-            more = [
-                (name.lower().encode(), value.encode())
-                for name, value in HEADERS.items()
-                if name.lower().encode() not in known
-            ]
-            message = {**message, "headers": [*message.get("headers", []), *more]}
+            headers = MutableHeaders(scope=message)
+            for name, value in HEADERS.items():
+                headers.setdefault(name, value)
         await send(message)
 
     return sending

@@ -11,7 +11,6 @@ from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 from PIL import Image
@@ -93,9 +92,9 @@ class Studio:
         post, got = ["POST"], ["GET"]
         routes = [
             *(Route(address, partial(_page, *PAGE[address]), methods=got) for address in PAGE),
-            Route("/tabs", self._asked(self.open), methods=post),
+            Route("/tabs", self._asked(self.open, of_tab=False), methods=post),
             *(
-                Route(tab + path, self._asked(self._of_tab(action)), methods=methods)
+                Route(tab + path, self._asked(action), methods=methods)
                 for path, action, methods in (
                     ("/leave", self.leave, post),
                     ("/found", self.found, post),
@@ -121,11 +120,18 @@ class Studio:
         return Starlette(routes=routes)
 
     def _asked(
-        self, action: Callable[[Request], Awaitable[Response]]
+        self, action: Callable[..., Awaitable[Response]], of_tab: bool = True
     ) -> Callable[[Request], Awaitable[Response]]:
+        """Let an action, perhaps of a tab, answer requests; its errors are answers, too."""
+
         async def answer(request: Request) -> Response:
             try:
-                return await action(request)
+                if not of_tab:
+                    return await action(request)
+                tab = self.tabs.find(request.path_params["tab"])
+                if tab is None:
+                    raise MissingError(GONE)
+                return await action(request, tab)
             except ClmorphError as error:
                 line = printable(self.line(error), MESSAGE)
             except ClientDisconnect:
@@ -135,17 +141,6 @@ class Studio:
             except MemoryError:
                 line = "not enough memory; use a smaller picture"
             return JSONResponse({"line": line}, 400)
-
-        return answer
-
-    def _of_tab(
-        self, action: Callable[[Request, Tab], Awaitable[Response]]
-    ) -> Callable[[Request], Awaitable[Response]]:
-        async def answer(request: Request) -> Response:
-            tab = self.tabs.find(request.path_params["tab"])
-            if tab is None:
-                raise MissingError(GONE)
-            return await action(request, tab)
 
         return answer
 
@@ -434,9 +429,7 @@ def _pictures(tab: Tab) -> Response:
 
 
 def _attached(path: Path, name: str) -> Response:
-    disposition = f"attachment; filename*=utf-8''{quote(name)}"
-    kind = "application/octet-stream"
-    return FileResponse(path, media_type=kind, headers={"Content-Disposition": disposition})
+    return FileResponse(path, media_type="application/octet-stream", filename=name)
 
 
 async def _body(request: Request, most: int) -> bytes:
