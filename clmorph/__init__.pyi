@@ -23,9 +23,8 @@ from .frames.particles import Particles, particles
 from .images.label_maps import read_labels
 from .images.looks import Lut, read_lut
 from .images.pixels import fit, read_image
-from .measures.density import density
 from .measures.grid import Grid, grid_measure
-from .measures.lift import lift
+from .measures.lift import density, lift
 from .measures.measure import Measure
 from .measures.points import WeightedPoints
 from .output.formats.archive import Archive, load
@@ -53,8 +52,11 @@ from .transport.barycentric import Barycentric, barycentric_plan
 from .transport.displacement import Displacement, displacement_statistics
 from .transport.displacement_field import DisplacementField, displacement_field
 from .transport.divergence import Divergence, sinkhorn_divergence
-from .transport.divergence_batch import sinkhorn_divergence_batch
-from .transport.divergence_matrix import DivergenceMatrix, divergence_matrix
+from .transport.divergence_batch import (
+    DivergenceMatrix,
+    divergence_matrix,
+    sinkhorn_divergence_batch,
+)
 from .transport.gradient import Gradient, gradient
 from .transport.hessian import hessian_product
 from .transport.matching import Assignment, assignment
@@ -62,9 +64,8 @@ from .transport.plan import Plan
 from .transport.plan_building import transport_plan
 from .transport.plan_sampling import sample_plan
 from .transport.potentials import Potentials
-from .transport.potentials_batch import PotentialsBatch
 from .transport.sinkhorn import sinkhorn
-from .transport.sinkhorn_batch import sinkhorn_batch
+from .transport.sinkhorn_batch import PotentialsBatch, sinkhorn_batch
 
 __all__ = [
     "__version__",

@@ -163,11 +163,11 @@ def row(name: str, n: int, run: dict, more: list[str]) -> str:
 
 def geomloss_iterations(pair) -> int:
     """Return the number of GeomLoss's iterations, first and last steps included."""
-    from clmorph.transport._solver.geomloss import blurs
     from clmorph.transport._solver.problem import largest_cost
+    from clmorph.transport.sinkhorn import geomloss_blurs
 
     diameter = (2 * largest_cost(pair[0].points, pair[1].points)) ** 0.5
-    return len(blurs(diameter, BLUR, 0.9)) + 2
+    return len(geomloss_blurs(diameter, BLUR, 0.9)) + 2
 
 
 def print_memory(devices) -> None:

@@ -11,7 +11,7 @@ from clmorph._shared.validation import errors_about
 from clmorph.backends.select import get_backend
 from clmorph.batch.extra import TURN, check_client, check_device, on_workers
 from clmorph.errors import ConvergenceWarning, InputError
-from clmorph.measures.many import as_many
+from clmorph.measures.points import as_many
 from clmorph.transport.barycenters.barycenter import barycenter, checked_call, prepared
 from clmorph.transport.barycenters.result import Barycenter
 from clmorph.transport.options import SolverOptions

@@ -13,8 +13,7 @@ from clmorph._shared.validation import check_integer, errors_about
 from clmorph.backends.select import get_backend
 from clmorph.batch.extra import TURN, check_client, check_device, on_workers
 from clmorph.errors import ConvergenceWarning
-from clmorph.measures.many import as_many
-from clmorph.measures.points import AnyMeasure, as_pair
+from clmorph.measures.points import AnyMeasure, as_many, as_pair
 from clmorph.transport._solver.checks import check_solver_options
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.divergence import check_symmetric, combined, one_regularization

@@ -16,8 +16,7 @@ from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_number
 from clmorph.backends.select import Backend, get_backend
 from clmorph.frames.canvas import canvas_at
-from clmorph.measures.density import check_density, density
-from clmorph.measures.lift import pixel_positions
+from clmorph.measures.lift import check_density, density, pixel_positions
 from clmorph.transport.options import Reach, SolverOptions
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_building import transport_plan

@@ -1,4 +1,4 @@
-"""From an image to a measure: weighted points in position and color (paper, 2.3, 5)."""
+"""From images and densities to measures: points in position and color (paper, 2.3, 5)."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from clmorph.images.flat_colors import foreground
 from clmorph.images.pixels import as_pixels, split_alpha
 from clmorph.measures.measure import Measure, check_masses
 from clmorph.measures.options import Extent, LiftOptions, Mass
+from clmorph.measures.points import WeightedPoints
 
 #: Weights of linear red, green and blue in luminance (ITU-R BT.709).
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -182,3 +183,46 @@ def lift_pair(
     if maps[1] is None and maps[0] is not None:
         target = replace(target, weights=target.weights * (source.mass / target.mass))
     return source, target
+
+
+def density(values: ArrayLike) -> WeightedPoints:
+    """Return a density on a grid as points in 2D, one for each cell of positive mass.
+
+    Parameters
+    ----------
+    values : (H, W) array
+        Masses of the cells, at least 0, of positive sum; they are not scaled. Rows go down and
+        columns to the right, as in an image: transpose what `numpy.histogram2d` returns.
+
+    Returns
+    -------
+    WeightedPoints
+        Centers of the cells in image sides: the longer side spans [0, 1], the shorter one is
+        centered, as in `clmorph.lift`.
+
+    Raises
+    ------
+    InputError
+        If the values are no such array.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> measure = clmorph.density([[0.0, 1.0, 3.0]])
+    >>> measure
+    <2 WeightedPoints in 2D, mass 4>
+    >>> measure.points.tolist(), measure.weights.tolist()
+    ([[0.5, 0.5], [1.0, 0.5]], [1.0, 3.0])
+    """
+    grid = check_density("values", values)
+    there = np.flatnonzero(grid)
+    return WeightedPoints(pixel_positions(grid.shape)[there], grid.ravel()[there])
+
+
+def check_density(name: str, values: ArrayLike) -> Array:
+    """Return a density, two-dimensional masses, as an array of float64."""
+    grid = as_floats(name, values, "masses (H, W)")
+    if grid.ndim != 2 or not grid.size:
+        raise InputError(f"{name} has shape {grid.shape}: expected masses (H, W) of a grid")
+    check_masses(name, grid)
+    return grid

@@ -18,10 +18,9 @@ from clmorph.pipeline.pair_count import predict_pairs
 from clmorph.transport.barycentric import Barycentric, barycentric_plan
 from clmorph.transport.options import MAX_DRAWS
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_building import transport_plan
+from clmorph.transport.plan_building import REMEDY, check_reachable, transport_plan
 from clmorph.transport.plan_sampling import draw_pairs, n_draws, sample_plan
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.pruning import REMEDY, check_reachable
 from clmorph.transport.refine_plan import drawn, refined
 from clmorph.transport.subproblems import Subproblem, joined
 

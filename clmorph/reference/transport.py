@@ -14,8 +14,8 @@ from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_measures
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.options import PlanOptions, Reach, SolverOptions
+from clmorph.transport.plan_building import no_pair_kept
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.pruning import no_pair_kept
 from clmorph.transport.regularization import Regularization, regularization
 
 #: Largest number of pairs of a dense plan; coordinate differences alone then take 1.3 GB.

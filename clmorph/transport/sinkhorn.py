@@ -17,7 +17,6 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.transport._solver import geomloss as geomloss_schedule
 from clmorph.transport._solver.checks import (
     check_grid_options,
     check_problem,
@@ -239,9 +238,23 @@ def _geomloss(
     precision: str,
     report: Progress,
 ) -> Potentials:
+    """Run GeomLoss's schedule: one averaged step at each blur, without a test of convergence."""
     rounding = problem.rounding(given.epsilon, precise=False)
     precise = precision == "float64" or (precision == "auto" and rounding > 0.1 * tol)
-    f, g, n_iter = geomloss_schedule.run(problem, given.blur, scaling, precise, report)
+    schedule = geomloss_blurs(float(np.sqrt(2 * problem.largest_cost)), given.blur, scaling)
+
+    def both(f: Array, g: Array, epsilon: float) -> tuple[Array, Array]:
+        source, target = problem.damping(epsilon)
+        new_f = source * problem.softmin(0, g, epsilon, precise)
+        return new_f, target * problem.softmin(1, f, epsilon, precise)
+
+    f, g = both(np.zeros(len(problem.a)), np.zeros(len(problem.b)), schedule[0] ** 2)
+    for number, level in enumerate(schedule):
+        new_f, new_g = both(f, g, level**2)
+        f, g = 0.5 * (f + new_f), 0.5 * (g + new_g)
+        report((number + 1) / len(schedule))
+    f, g = both(f, g, given.epsilon)
+    n_iter = len(schedule) + 2
     state = problem.measured(f, g, given.epsilon)
     residual = state.residual
     return Potentials(
@@ -254,6 +267,20 @@ def _geomloss(
         precise=precise,
         truncation_error=problem.error,
     )  # fmt: skip
+
+
+def geomloss_blurs(diameter: float, blur: float, scaling: float) -> list[float]:
+    """Return the diameter twice, then blurs that fall by `scaling`, then `blur`.
+
+    Source: Feydy et al., "Interpolating between optimal transport and MMD using Sinkhorn
+    divergences" (2019), and the GeomLoss library.
+    """
+    if diameter <= 0.0:
+        return [blur, blur]
+    # The schedule is computed from logarithms of epsilon, as in GeomLoss, because one step more or
+    # less would change the result.
+    falling = np.arange(2 * np.log(diameter), 2 * np.log(blur), 2 * np.log(scaling))
+    return [diameter, *np.exp(falling / 2), blur]
 
 
 def finish(ended: Outcome, given: Regularization, truncation: float | None) -> Potentials:

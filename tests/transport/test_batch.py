@@ -432,7 +432,7 @@ def test_small_residuals_are_reached_on_every_backend(any_backend, rng):
 def test_self_terms_are_solved_once(monkeypatch, rng):
     solved, solve_many = [], sinkhorn_batch.solve_many
     monkeypatch.setattr(
-        "clmorph.transport.divergence_matrix.solve_many",
+        "clmorph.transport.divergence_batch.solve_many",
         lambda pairs, *more: (solved.extend(pairs), solve_many(pairs, *more))[1],
     )
     weights, points = np.full((5, 6), 1 / 6), rng.random((5, 6, 2))

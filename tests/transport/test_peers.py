@@ -9,7 +9,7 @@ from plain import reference, sinkhorn
 
 import clmorph
 from clmorph.reference.transport import cost_matrix
-from clmorph.transport._solver import geomloss as geomloss_schedule
+from clmorph.transport.sinkhorn import geomloss_blurs
 
 GEOMLOSS = np.load(Path(__file__).parents[1] / "data" / "geomloss.npz")
 
@@ -138,8 +138,8 @@ def test_geomloss(any_backend, reach, scaling):
 
 
 def test_geomloss_schedule():
-    levels = geomloss_schedule.blurs(2.0, 0.05, 0.5)
+    levels = geomloss_blurs(2.0, 0.05, 0.5)
     assert levels[:2] == pytest.approx([2.0, 2.0])
     assert levels[-1] == 0.05
     assert levels[-2] == pytest.approx(2.0 * 0.5**5)
-    assert geomloss_schedule.blurs(0.0, 0.05, 0.5) == [0.05, 0.05]
+    assert geomloss_blurs(0.0, 0.05, 0.5) == [0.05, 0.05]

@@ -5,7 +5,7 @@ import pytest
 from plain import lift, reference, sinkhorn
 
 from clmorph import InputError, WeightedPoints, displacement_statistics, particles, transport_plan
-from clmorph.transport.pruning import check_reachable
+from clmorph.transport.plan_building import check_reachable
 
 
 @pytest.fixture(scope="module")

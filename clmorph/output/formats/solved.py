@@ -16,7 +16,7 @@ from clmorph.transport.gradient import Gradient
 from clmorph.transport.matching import Assignment
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.potentials_batch import PotentialsBatch, batch_of
+from clmorph.transport.sinkhorn_batch import PotentialsBatch, batch_of
 
 #: The name of the JSON text among the arrays.
 RECORD = "result"

@@ -12,12 +12,12 @@ from clmorph.backends.arrays import as_floats
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.grid import Grid, are_grids
-from clmorph.measures.many import as_many
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import (
     AnyMeasure,
     MeasureLike,
     WeightedPoints,
+    as_many,
     as_measure,
     as_measures,
     dimension_of,
