@@ -38,13 +38,11 @@ from .pipeline.mixing.mix import mix
 from .pipeline.mixing.mixes import Mixes
 from .pipeline.morph import morph
 from .pipeline.options import MorphOptions
-from .pipeline.rearrange import rearrange
+from .pipeline.rearrange import Rearrangement, rearrange
 from .pipeline.rearrange_options import RearrangeOptions
-from .pipeline.rearrangement import Rearrangement
 from .pipeline.recipe import load_options
-from .pipeline.recolor import recolor
+from .pipeline.recolor import Recolored, recolor
 from .pipeline.recolor_options import RecolorOptions
-from .pipeline.recolored import Recolored
 from .pipeline.result import Morph
 from .transport.barycenters.barycenter import barycenter
 from .transport.barycenters.result import Barycenter

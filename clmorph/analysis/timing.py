@@ -17,8 +17,8 @@ from clmorph.frames.particles import particles
 from clmorph.images.detail import auto_sigma
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
+from clmorph.pipeline.budget import part_of
 from clmorph.pipeline.film import picture_of
-from clmorph.pipeline.pair_count import part_of
 from clmorph.transport._solver.plan_softmin import clouds_of
 from clmorph.transport._solver.problem import uploaded
 from clmorph.transport.barycentric import Barycentric

@@ -34,6 +34,16 @@ PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".gif", ".bmp", ".tif", ".tiff", "
 
 
 @dataclass(frozen=True)
+class Defaults:
+    """What holds for all jobs: the folder of outputs, and the file of settings."""
+
+    folder: str
+    options: Mapping[str, Any]
+    preset: str | None
+    max_pixels: int
+
+
+@dataclass(frozen=True)
 class Job:
     """One morph of a batch."""
 
@@ -43,15 +53,11 @@ class Job:
     source: str
     target: str
     output: str
+    defaults: Defaults
     #: Options of the row, by their names in Python.
     options: Mapping[str, Any] = field(default_factory=dict)
-    #: The preset of the row or of the defaults; None if the pictures choose it.
-    preset: str | None = None
-    #: Options of the file of settings, by their names in Python.
-    defaults: Mapping[str, Any] = field(default_factory=dict)
-    #: Whether the row names the preset, which then wins over the defaults.
-    own_preset: bool = False
-    max_pixels: int = 0
+    #: The preset that the row names, which then wins over the defaults.
+    own_preset: str | None = None
     #: Absolute paths of the label images and of the features of both pictures, by these words.
     beside: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
@@ -60,19 +66,17 @@ class Job:
         """The files that the job reads."""
         return [self.source, self.target, *(place for two in self.beside.values() for place in two)]
 
+    @property
+    def preset(self) -> str | None:
+        """The preset of the row or of the defaults; None if the pictures choose it."""
+        chosen = self.defaults.preset if self.own_preset is None else self.own_preset
+        return None if chosen == AUTO else chosen
+
     def settled(self, preset: str | None) -> MorphOptions:
         """Return the options of the morph, as ``clmorph morph`` joins them."""
-        return MorphOptions.joined(self.options, preset, self.defaults, preset_wins=self.own_preset)
-
-
-@dataclass(frozen=True)
-class Defaults:
-    """What holds for all jobs: the folder of outputs, and the file of settings."""
-
-    folder: str
-    options: Mapping[str, Any]
-    preset: str | None
-    max_pixels: int
+        return MorphOptions.joined(
+            self.options, preset, self.defaults.options, preset_wins=self.own_preset is not None
+        )
 
 
 def read_jobs(place: str, defaults: Defaults) -> list[Job]:
@@ -208,27 +212,7 @@ def _job(
             raise FileError(f"{where}: expected both {' and '.join(columns)}, or none of them")
         if given:
             beside[kind] = resolved(given[0], base), resolved(given[1], base)
-    return _made(where, source, target, output, options, preset, defaults, beside)
-
-
-def _made(
-    where: str, source: str, target: str, output: str,
-    options: Mapping[str, Any], preset: str | None, defaults: Defaults,
-    beside: Mapping[str, tuple[str, str]] | None = None,
-) -> Job:  # fmt: skip
-    own = preset is not None
-    preset = preset if own else defaults.preset
-    job = Job(
-        where, source, target, output, dict(options), None if preset == AUTO else preset,
-        dict(defaults.options), own, defaults.max_pixels, dict(beside or {}),
-    )  # fmt: skip
-    with errors_about(where, FileError):
-        job.settled(job.preset)
-    if by_ending(Path(name_of(output))) is None:
-        raise FileError(
-            f"{where}: {name_of(output)}: unknown ending; expected {', '.join(usual_endings())}"
-        )
-    return job
+    return Job(where, source, target, output, defaults, options, preset, beside)
 
 
 def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> list[Job]:
@@ -261,7 +245,7 @@ def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> li
         output = resolved(f"{apart.join(each)}{ending}", defaults.folder)
         where = f"{source.name} and {target.name}"
         first, second = (resolved(str(path)) for path in (source, target))
-        jobs.append(_made(where, first, second, output, {}, None, defaults))
+        jobs.append(Job(where, first, second, output, defaults))
     return checked(jobs, defaults.folder)
 
 
@@ -280,7 +264,7 @@ def from_pairs(pairs: Iterable[Any], defaults: Defaults) -> list[Job]:
         ):
             raise InputError(f"pairs[{number}] = {shown(item)}: expected paths {_TUPLE}")
         source, target, output = (resolved(str(part)) for part in item)
-        jobs.append(_made(f"pairs[{number}]", source, target, output, {}, None, defaults))
+        jobs.append(Job(f"pairs[{number}]", source, target, output, defaults))
     return checked(jobs)
 
 
@@ -288,7 +272,15 @@ _TUPLE = f"({', '.join(COLUMNS)})"
 
 
 def checked(jobs: list[Job], folder: str | None = None) -> list[Job]:
-    """Return jobs, none of whose outputs replaces another, a picture or a file of the batch."""
+    """Return jobs with usable options, and outputs that replace no other, picture or own file."""
+    for job in jobs:
+        with errors_about(job.where, FileError):
+            job.settled(job.preset)
+        if by_ending(Path(name_of(job.output))) is None:
+            raise FileError(
+                f"{job.where}: {name_of(job.output)}: unknown ending; expected "
+                f"{', '.join(usual_endings())}"
+            )
     read = {file_identity(place) for job in jobs for place in job.read}
     own = () if folder is None else (INDEX, JOURNAL)
     reserved = {file_identity(resolved(name, folder or "")) for name in own}

@@ -32,7 +32,7 @@ def identity(job: Job, device: str) -> str:
     beside = {kind: [[place, stamp(place)] for place in two] for kind, two in job.beside.items()}
     parts = [
         job.source, job.target, stamp(job.source), stamp(job.target), beside,
-        job.settled(job.preset).outside(), job.preset, job.max_pixels, device, __version__,
+        job.settled(job.preset).outside(), job.preset, job.defaults.max_pixels, device, __version__,
     ]  # fmt: skip
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
 

@@ -76,11 +76,12 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
         }
         path = stack.enter_context(local_output(job.output))
         place = Output(path)
-        whole = [read_visible(image, job.max_pixels) for image in images]
+        most = job.defaults.max_pixels
+        whole = [read_visible(image, most) for image in images]
         options = job.settled(recognized(whole) if job.preset is None else job.preset)
         motion = motion_of(options, held_frames(2, options.n_frames))
         place.check_motion(motion)
-        maps = read_maps(beside.get("labels", ()), beside.get("features", ()), job.max_pixels)
+        maps = read_maps(beside.get("labels", ()), beside.get("features", ()), most)
         options = guides(whole, [(0, 1)], options, maps).of(0)
         pictures = fitted(whole, options)
         operations = get_backend(device)

@@ -37,9 +37,8 @@ def run_clips(request: Request) -> None:
     with request.stages() as stages:
         operations = request.open()
         film = clip_film(
-            ends[0], ends[1], options, every=EVERY,
-            rate=options.fps if "fps" in request.named else None,
-            max_pixels=request.max_pixels, backend=operations, progress=stages, given={},
+            ends[0], ends[1], options, options.fps if "fps" in request.named else None, EVERY,
+            request.max_pixels, operations, stages,
         )  # fmt: skip
         if options.duration is None:  # the recipe has the rate of the film
             options = options.replace(fps=float(film.rate))

@@ -9,9 +9,8 @@ from clmorph.cli.terminal import Stages
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.resizing import as_unit
 from clmorph.output.save import recorded_for, write_all
-from clmorph.pipeline.rearrange import arranged
+from clmorph.pipeline.rearrange import Rearrangement, arranged
 from clmorph.pipeline.rearrange_options import RearrangeOptions
-from clmorph.pipeline.rearrangement import Rearrangement
 
 
 def run_rearrange(request: Request) -> None:

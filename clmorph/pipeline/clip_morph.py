@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from fractions import Fraction
 from os import PathLike
+from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
@@ -14,16 +17,23 @@ from numpy.typing import NDArray
 
 from clmorph._shared.progress import Share, StageProgress
 from clmorph._shared.typing import AnyArray, ArrayLike
-from clmorph._shared.validation import check_max_pixels, check_number, check_progress
+from clmorph._shared.validation import (
+    check_max_pixels,
+    check_number,
+    check_progress,
+    is_path,
+    shown,
+)
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
+from clmorph.clips.reading import Clip
 from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import ends_of
 from clmorph.frames.layers import Layers, Moment
-from clmorph.images.pixels import MAX_PIXELS, reduced_shape
+from clmorph.images.pixels import MAX_PIXELS, as_rgb, as_samples, reduced_shape
+from clmorph.images.resizing import resized
 from clmorph.output.playback import eased
-from clmorph.pipeline.clip_frames import Frames, Size
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.morph import ImagePair
@@ -32,6 +42,8 @@ from clmorph.pipeline.presets import AUTO
 
 #: Seconds between two pairs of frames whose transport is solved.
 EVERY = 0.25
+#: (width, height) in pixels.
+Size = tuple[int, int]
 #: Seconds in which one becomes the other, and the most that are held in memory.
 SECONDS, LONGEST = 1.0, 60.0
 
@@ -99,30 +111,38 @@ def morph_clip(
     >>> len(frames), frames[0].shape
     (7, (8, 8, 3))
     """
-    named = dict(given)
-    rate: Any = named.pop("fps", None)
-    return clip_film(
-        source, target, options, rate=rate, every=every, max_pixels=max_pixels,
-        backend=backend, progress=progress, given=named,
-    ).frames()  # fmt: skip
+    named: dict[str, Any] = dict(given)
+    rate = named.pop("fps", None)
+    if options is None:
+        options = MorphOptions(**{"size": None} | named)
+    else:
+        options = MorphOptions.of_call(options, named, "blur=0.05")
+    film = clip_film(source, target, options, rate, every, max_pixels, backend, progress)
+    return film.frames()
 
 
 def clip_film(
     source: Any,
     target: Any,
-    options: MorphOptions | None,
-    *,
+    options: MorphOptions,
     rate: float | None,
     every: float,
     max_pixels: int,
     backend: Backend,
     progress: StageProgress | None,
-    given: dict[str, Any],
 ) -> ClipFilm:
-    """Return the film of `morph_clip`, whose arguments are checked."""
+    """Return the film of `morph_clip`, after a check of its arguments."""
     every = check_number("every", every, 0.0, LONGEST, open_low=True)
-    chosen = _options(options, given)
-    seconds = chosen.duration or SECONDS
+    if options.detail != "layers":
+        raise InputError(
+            f"detail={options.detail!r} is for stills: expected 'layers' for a clip, as in the "
+            "preset 'photo'"
+        )
+    if options.endpoints == "paper" or options.sigma is not None:
+        raise InputError("endpoints='paper' and sigma are for stills: leave them out for a clip")
+    if options.landmarks == AUTO:
+        options = options.replace(landmarks=None)
+    seconds = options.duration or SECONDS
     if seconds > LONGEST:
         raise InputError(
             f"duration={seconds:g}: expected at most {LONGEST:g} s for a transition, whose frames "
@@ -136,26 +156,85 @@ def clip_film(
     if rate is not None:
         rates = [Fraction(check_number("fps", rate, 0.1, 240.0)).limit_denominator(1001)]
     clip = next(end for end in ends if end.still is None)
-    height, width = reduced_shape(clip.size[::-1], chosen.size or max(clip.size))
+    height, width = reduced_shape(clip.size[::-1], options.size or max(clip.size))
     return ClipFilm(
-        ends, seconds, every, rates[0] if rates else Fraction(25), (width, height), chosen,
+        ends, seconds, every, rates[0] if rates else Fraction(25), (width, height), options,
         get_backend(backend), check_progress(progress),
     )  # fmt: skip
 
 
-def _options(options: MorphOptions | None, given: dict[str, Any]) -> MorphOptions:
-    if options is None:
-        chosen = MorphOptions(**{"size": None} | given)
-    else:
-        chosen = MorphOptions.of_call(options, given, "blur=0.05")
-    if chosen.detail != "layers":
-        raise InputError(
-            f"detail={chosen.detail!r} is for stills: expected 'layers' for a clip, as in the "
-            "preset 'photo'"
-        )
-    if chosen.endpoints == "paper" or chosen.sigma is not None:
-        raise InputError("endpoints='paper' and sigma are for stills: leave them out for a clip")
-    return chosen.replace(landmarks=None) if chosen.landmarks == AUTO else chosen
+class Frames:
+    """Pictures of one size: a `still`, or those of a clip, once, at a `rate` that can be None."""
+
+    def __init__(self, name: str, given: Any, max_pixels: int) -> None:
+        self._name, self._max_pixels = name, max_pixels
+        self.path: Path | None = None
+        self.still: AnyArray | None = None
+        self.rate: Fraction | None = None
+        if is_path(given):
+            self.path = Path(given)
+            with Clip(self.path, max_pixels) as clip:
+                self.size, self.rate, self._tags = clip.size, clip.rate, clip.tags
+            return
+        if isinstance(given, np.ndarray) and given.ndim in (2, 3):
+            self.still = as_samples(given, name, max_pixels=max_pixels)
+            self.size = self.still.shape[1], self.still.shape[0]
+            return
+        if not isinstance(given, Iterable) or isinstance(given, str):
+            raise InputError(
+                f"{name}={shown(given)}: expected a picture, the path of a clip, or its frames"
+            )
+        frames = iter(given)
+        first = next(frames, None)
+        if first is None:
+            raise InputError(f"{name}: the clip has no frames; expected at least one")
+        height, width = as_samples(first, f"{name}, frame 0", max_pixels=max_pixels).shape[:2]
+        self.size = width, height
+        self._given = itertools.chain([first], frames)
+
+    def pixels(self, rate: Fraction) -> Iterator[AnyArray]:
+        """Yield a clip's frames, with the values that it has, at an even rate; a still for ever."""
+        if self.still is not None:
+            yield from itertools.repeat(self.still)
+        if self.path is None:
+            for number, frame in enumerate(self._given):
+                found = as_samples(frame, f"{self._name}, frame {number}")
+                if (found.shape[1], found.shape[0]) != self.size:
+                    raise InputError(
+                        f"{self._name}, frame {number} has {found.shape[1]} x {found.shape[0]} "
+                        f"pixels: expected {self.size[0]} x {self.size[1]} as the first one has"
+                    )
+                yield found
+            return
+        with Clip(self.path, self._max_pixels) as clip, closing(clip.frames()) as frames:  # type: ignore[type-var]
+            last, start, count, end = None, Fraction(0), 0, Fraction(0)
+            for frame in frames:
+                if last is None:
+                    start = frame.time
+                # The frame that is shown in the middle of the time of each frame of the film.
+                while last is not None and (count + Fraction(1, 2)) / rate < frame.time - start:
+                    yield last
+                    count += 1
+                last, end = frame.pixels, frame.time - start + 1 / clip.rate
+            while last is not None and (count + Fraction(1, 2)) / rate < end:
+                yield last
+                count += 1
+
+    def shown(self, pixels: AnyArray, size: Size) -> NDArray[np.float64]:
+        """Return a frame as sRGB (H, W, 3) of a size: scaled to fit into it, with black bars."""
+        colors = as_rgb(pixels)
+        if self.path is not None:
+            colors = self._tags.to_srgb(colors)
+        height, width = colors.shape[:2]
+        if (width, height) == size:
+            return np.ascontiguousarray(colors)
+        share = min(size[0] / width, size[1] / height)
+        inner = max(1, round(share * height)), max(1, round(share * width))
+        scaled = np.clip(resized(colors, inner), 0.0, 1.0)
+        page = np.zeros((size[1], size[0], 3))
+        top, left = (size[1] - inner[0]) // 2, (size[0] - inner[1]) // 2
+        page[top : top + inner[0], left : left + inner[1]] = scaled
+        return page
 
 
 @dataclass(frozen=True)
@@ -183,80 +262,67 @@ class ClipFilm:
     def parts(self) -> Iterator[tuple[float, NDArray[np.float32]]]:
         """Yield how far the transition is, from 0 to 1, and the frame."""
         source, target = self.ends
-        firsts: list[AnyArray] = []
+        firsts: deque[AnyArray] = deque()
         if source.still is not None:
             yield 0.0, self._single(source, source.still)
-            firsts = [source.still] * self.count
+            firsts.extend(itertools.islice(source.pixels(self.rate), self.count))
         else:
-            recent: deque[AnyArray] = deque()
             for pixels in source.pixels(self.rate):
-                recent.append(pixels)
-                if len(recent) > self.count:
-                    yield 0.0, self._single(source, recent.popleft())
-            firsts = list(recent)
-            self._check_length("source", source, len(firsts))
-        stream = None if target.still is not None else target.pixels(self.rate)
-        for number, frame in enumerate(self._transition(firsts, stream), 1):
+                firsts.append(pixels)
+                if len(firsts) > self.count:
+                    yield 0.0, self._single(source, firsts.popleft())
+            if len(firsts) < self.count:
+                raise self._too_short("source", source, len(firsts))
+        stream = target.pixels(self.rate)
+        for number, frame in enumerate(self._transition(list(firsts), stream), 1):
             yield number / (self.count + 1), frame
-        if stream is None:
-            assert target.still is not None
-            yield 1.0, self._single(target, target.still)
-        else:
-            for pixels in stream:
-                yield 1.0, self._single(target, pixels)
+        for pixels in stream if target.still is None else [target.still]:
+            yield 1.0, self._single(target, pixels)
 
     def _single(self, end: Frames, pixels: AnyArray) -> NDArray[np.float32]:
         return end.shown(pixels, self.size).astype(np.float32)
 
-    def _check_length(self, name: str, end: Frames, found: int) -> None:
-        if found < self.count:
-            raise InputError(
-                f"{end.path or name} lasts {float(found / self.rate):.2f} s, and the transition "
-                f"{self.count / float(self.rate):.2f} s (duration): expected a clip "
-                "that lasts at least as long; lower it"
-            )
+    def _too_short(self, name: str, end: Frames, found: int) -> InputError:
+        return InputError(
+            f"{end.path or name} lasts {float(found / self.rate):.2f} s, and the transition "
+            f"{self.count / float(self.rate):.2f} s (duration): expected a clip "
+            "that lasts at least as long; lower it"
+        )
 
     def _transition(
-        self, firsts: list[AnyArray], stream: Iterator[AnyArray] | None
+        self, firsts: list[AnyArray], stream: Iterator[AnyArray]
     ) -> Iterator[NDArray[np.float32]]:
         """Yield the frames in which one becomes the other."""
         source, target = self.ends
         count = self.count
-        times = eased(np.linspace(0.0, 1.0, count + 2), self.options.ease)[1:-1]
+        times = eased(np.linspace(0.0, 1.0, count + 2), self.options.ease)[1:-1].tolist()
         step = max(1, round(self.every * self.rate))
-        keys = sorted({*range(0, count - 1, step), count - 1})
         others: deque[AnyArray] = deque()
-        read = 0
 
-        def pair(first: AnyArray, second: AnyArray) -> tuple[Any, Any]:
-            return source.shown(first, self.size), target.shown(second, self.size)
+        def pair(number: int, second: AnyArray) -> tuple[Any, Any]:
+            return source.shown(firsts[number], self.size), target.shown(second, self.size)
 
         def drawn(carried: Moment, number: int) -> NDArray[np.float32]:
-            shown = pair(firsts[number], others.popleft())
-            return carried.frame(
-                float(times[number]), shown, canvas, extent, self.options.path_space,
-                self.operations,
-            ).astype(np.float32)  # fmt: skip
+            frame = carried.frame(
+                times[number], pair(number, others.popleft()), canvas, extent,
+                self.options.path_space, self.operations,
+            )  # fmt: skip
+            self.progress("frames", Share((number + 1) / count, f"{number + 1} of {count}"))
+            return frame.astype(np.float32)
 
-        before: Moment | None = None
-        last = 0
-        for key in keys:
-            while read <= key:
-                found = target.still if stream is None else next(stream, None)
-                if found is None:
-                    self._check_length("target", target, read)
-                assert found is not None
-                others.append(found)
-                read += 1
-            moment, canvas, extent = self._solved(pair(firsts[key], others[-1]))
-            for number in range(last, key) if before is not None else ():
-                assert before is not None
-                yield drawn(before.towards(moment, (number - last) / (key - last)), number)
-                self.progress("frames", Share((number + 1) / count, f"{number + 1} of {count}"))
-            before, last = moment, key
-        assert before is not None
+        def solved(key: int, done: int) -> tuple[Moment, Canvas, str]:
+            others.extend(itertools.islice(stream, key + 1 - done - len(others)))
+            if len(others) <= key - done:
+                raise self._too_short("target", target, done + len(others))
+            return self._solved(pair(key, others[-1]))
+
+        before, canvas, extent = solved(0, 0)
+        for last, key in itertools.pairwise(sorted({*range(0, count - 1, step), count - 1})):
+            after, canvas, extent = solved(key, last)
+            for number in range(last, key):
+                yield drawn(before.towards(after, (number - last) / (key - last)), number)
+            before = after
         yield drawn(before, count - 1)
-        self.progress("frames", Share(1.0, f"{count} of {count}"))
 
     def _solved(self, pictures: tuple[Any, Any]) -> tuple[Moment, Canvas, str]:
         """Solve the transport between two frames; return what carries them, and their canvas."""

@@ -136,7 +136,9 @@ class ClipRecoloring:
             lut = _in_part(like, options.strength, self.tags, operations)
         else:
             look = self._look(like, options, operations, report)
-            lut = _as_table(self.tags, lambda colors: _moved(look, colors, report))
+            lut = _as_table(
+                self.tags, lambda colors: colors if look is None else look.moved(colors, report)
+            )
         self._apply = LutOnDevice(lut, operations)
 
     def write(
@@ -219,12 +221,6 @@ class ClipRecoloring:
             return found
         with Clip(self._path, self._max_pixels) as clip:
             return [next(clip.frames())]
-
-
-def _moved(look: Look | None, colors: Array, report: StageProgress) -> Array:
-    if look is None:
-        return colors
-    return look.moved(colors, np.full(len(colors), look.strength), report)
 
 
 def _as_table(tags: ColorTags, change: Callable[[Array], Array]) -> Lut:

@@ -63,14 +63,14 @@ def color_map(
 ) -> ColorMap:
     """Transport a distribution of colors into another one, and return the map of colors."""
     a, b = (_clusters(measure, SIDE * blur) for measure in (source, target))
-    cross = sinkhorn(
-        a, b, blur, reach, TOLERANCE, backend=operations,
-        progress=lambda share: report(0.4 * share),
-    )  # fmt: skip
-    own = sinkhorn(
-        a, a, blur, reach, TOLERANCE, backend=operations,
-        progress=lambda share: report(0.4 + 0.4 * share),
-    )  # fmt: skip
+
+    def solved(partner: WeightedPoints, done: float) -> Potentials:
+        return sinkhorn(
+            a, partner, blur, reach, TOLERANCE, backend=operations,
+            progress=lambda share: report(done + 0.4 * share),
+        )  # fmt: skip
+
+    cross, own = solved(b, 0.0), solved(a, 0.4)
     origin, step, near = _lattice(source.points, STEP * blur)
     nodes = origin + step * np.argwhere(near)
     values = _steps(nodes, (a, b), (cross, own), operations)

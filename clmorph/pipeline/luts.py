@@ -17,9 +17,15 @@ from clmorph.images.looks import LEAST, MOST, Lut
 from clmorph.images.pixels import as_pixels
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import RecolorKeywords
-from clmorph.pipeline.recolor import Look, as_mask, check_for_picture, lattice, look_of
+from clmorph.pipeline.recolor import (
+    Look,
+    Recolored,
+    as_mask,
+    check_for_picture,
+    lattice,
+    look_of,
+)
 from clmorph.pipeline.recolor_options import RecolorOptions
-from clmorph.pipeline.recolored import Recolored
 
 
 class LutOnDevice:
@@ -163,5 +169,5 @@ def lut_of(look: Look | None, size: int, report: StageProgress) -> Lut:
     """Return a look as a table; without one, that of colors that do not change."""
     colors = lattice(size)
     if look is not None:
-        colors = look.moved(colors, np.full(len(colors), look.strength), report)
+        colors = look.moved(colors, report)
     return Lut(colors.reshape(size, size, size, 3))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.typing import IntArray, Progress
@@ -16,8 +16,10 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.multi_device import members_of
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
+from clmorph.frames.as_measure import frame_measure, particle_measure
 from clmorph.frames.kernel_width import KernelWidth, effective_count
 from clmorph.frames.particles import particles
+from clmorph.frames.render import Widths
 from clmorph.images.detail import auto_sigma
 from clmorph.measures.landmark_options import AUTO
 from clmorph.measures.landmarks import Guided, guided
@@ -31,18 +33,28 @@ from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.guides import guides, labeled
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.maps import NO_MAPS, Maps
-from clmorph.pipeline.optimal_width import optimal_curve
 from clmorph.pipeline.options import NO_DIVERGENCE, MorphOptions
 from clmorph.pipeline.prepare import Picture, as_images, as_options, fitted, small_copies
 from clmorph.pipeline.presets import PresetName
 from clmorph.pipeline.result import Morph
 from clmorph.transport.barycentric import Barycentric, destination_colors
-from clmorph.transport.options import SolverOptions
+from clmorph.transport.divergence import sinkhorn_divergence
+from clmorph.transport.options import PlanOptions, SolverOptions
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import regularization
 from clmorph.transport.sinkhorn import sinkhorn, warn_unless_converged
 from clmorph.transport.subproblems import Subproblem, by_label, solve_parts
+
+#: Times at which widths are optimized; widths at other times are interpolated. At the ends, where
+#: particles stand on pixels, the narrowest width is the best, so the next times are near the ends.
+KNOTS = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
+#: Candidate widths in pixels. The objective can have several minima, so all candidates are tried.
+#: The search then continues `REFINEMENTS` times between the neighbors of the best one.
+WIDTHS = 0.1 * 2.0 ** (0.5 * np.arange(12))
+REFINEMENTS = 3
+#: Number of points to which the particles of frames are merged for this search.
+POINTS = 4096
 
 
 @documented(MorphOptions)
@@ -237,10 +249,8 @@ class ImagePair:
         )
         report("plan", 0.0)
         plan = make_plan(
-            parts, solved, operations, sample=options.sample,
-            barycentric=options.barycentric, seed=options.seed,
-            max_particles=options.max_particles, max_memory=options.max_memory,
-            log_threshold=options.log_threshold,
+            parts, solved, operations, max_particles=options.max_particles,
+            max_memory=options.max_memory, **options.of(PlanOptions),
         )  # fmt: skip
         report("plan", 1.0)
         # Large pictures are held for as long as the film is.
@@ -296,3 +306,44 @@ class ImagePair:
 def shapes_of(images: Sequence[Picture]) -> list[tuple[int, int]]:
     """Return the height and the width of each image."""
     return [(image.shape[0], image.shape[1]) for image in images]
+
+
+def optimal_curve(
+    morph: Morph, report: Callable[[float], None]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the kernel widths, times and pixels, whose frames are nearest to the particles.
+
+    The Sinkhorn divergence decides (paper, 4.3). Torn pixels are closed. The divergence prefers
+    grain to blur: an average is a color of no particle.
+    """
+    widths = []
+    for number, t in enumerate(KNOTS):
+        widths.append(_least(_objective(morph, float(t))))
+        report((number + 1) / len(KNOTS))
+    return KNOTS, np.array(widths)
+
+
+def _objective(morph: Morph, t: float) -> Callable[[float], float]:
+    """Return the divergence of the frame at t to its particles, as a function of the width."""
+    particles, _ = particle_measure(morph, t, max_points=POINTS)
+    blur, reach = morph.potentials.blur, morph.potentials.reach
+    assert not isinstance(reach, tuple)  # the options have been checked
+    local, device = morph.kernel_width.splatting == "local", members_of(morph.operations)[0]
+
+    def divergence(width: float) -> float:
+        sums = morph.sums(t, widths=Widths(width, local, closed=True))
+        frame = frame_measure(morph, t, sums=sums)
+        return float(sinkhorn_divergence(frame, particles, blur, reach, backend=device))
+
+    return divergence
+
+
+def _least(objective: Callable[[float], float]) -> float:
+    """Return the width with the least objective."""
+    tried = [(objective(width), float(width)) for width in WIDTHS]
+    step = float(np.sqrt(WIDTHS[1] / WIDTHS[0]))
+    for _ in range(REFINEMENTS):
+        best = min(tried)[1]
+        tried += [(objective(width), width) for width in (best / step, best * step)]
+        step = float(np.sqrt(step))
+    return min(tried)[1]

@@ -67,21 +67,17 @@ def fitted(
     images: Sequence[AnyArray], options: MorphOptions, beside: Maps = NO_MAPS
 ) -> list[Picture]:
     """Return images at the size at which they are drawn; InputError if one with a map shrinks."""
-    weights, color_metric = beside.weights, beside.color_metric
-    maps = weights if isinstance(weights, tuple | list) else (None, None)
-    metric = color_metric is not None and as_array(
-        "color_metric", color_metric, "an array (3, 3), (H, W, 3, 3) or (H, W)"
-    ).shape != (3, 3)
-    mapped = metric or any(each is not None for each in maps[:2])
-    small = [_reduced(image, options, mapped) for image in images]
-    reduced = [one.shape != other.shape for one, other in zip(images, small, strict=True)]
-    for name, index, is_map in (
-        *(("weights", index, each is not None) for index, each in enumerate(maps[:2])),
-        ("color_metric", 0, metric),
-    ):
-        if is_map and reduced[index]:
+    weights = beside.weights if isinstance(beside.weights, tuple | list) else ()
+    maps = [("weights", k) for k, each in enumerate(weights[:2]) if each is not None]
+    if beside.color_metric is not None:
+        expected = "an array (3, 3), (H, W, 3, 3) or (H, W)"
+        if as_array("color_metric", beside.color_metric, expected).shape != (3, 3):
+            maps.append(("color_metric", 0))
+    small = [_reduced(image, options, bool(maps)) for image in images]
+    for name, k in maps:
+        if images[k].shape != small[k].shape:
             raise InputError(
-                f"{name} is a map of the pixels of image_{'ab'[index]}, but size={options.size} "
+                f"{name} is a map of the pixels of image_{'ab'[k]}, but size={options.size} "
                 "reduces that image: give size=None, or an image of that size"
             )
     return small
@@ -102,8 +98,7 @@ def takes_copies(
     """Return whether `small_copies` of images with these shapes (H, W, C) are lifted."""
     drawn = options.detail == "layers" and options.endpoints == "exact" and options.sigma is None
     drawn = drawn and options.solve_size is not None and options.solve_size <= MOST_CARRIED
-    mapped = (beside.weights, beside.color_metric, beside.labels, beside.features)
-    if not drawn or any(each is not None for each in mapped):
+    if not drawn or beside.names:
         return False
     large = max(max(shape[:2]) for shape in shapes) > MOST_CARRIED
     return large and all(shape[2] == 3 for shape in shapes)

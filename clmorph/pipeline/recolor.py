@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from clmorph._shared.notebook import picture
 from clmorph._shared.progress import Report, Share, StageProgress
 from clmorph._shared.threads import in_order
 from clmorph._shared.typing import Array, ArrayLike
@@ -19,14 +20,12 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.images.color import into_gamut, to_space
-from clmorph.images.pixels import as_pixels, split_alpha
+from clmorph.images.pixels import as_pixels, split_alpha, to_bytes
 from clmorph.measures.points import WeightedPoints
 from clmorph.pipeline.color_map import ColorMap, color_map
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import RecolorKeywords
-from clmorph.pipeline.near_black import NearBlack, near_black
 from clmorph.pipeline.recolor_options import RecolorOptions
-from clmorph.pipeline.recolored import Recolored
 
 #: Number of pixels, in rows and columns at even distances, whose colors make the distributions.
 SAMPLES = 1 << 19
@@ -34,6 +33,40 @@ SAMPLES = 1 << 19
 CHUNK = 1 << 16
 #: Levels of a channel of 8 bits.
 LEVELS = 256
+#: Channels, in sRGB, below which a color counts as near black.
+DARK = 16 / 255
+#: Largest slope of the map there, and by how much the way to the map of other colors is steeper.
+SLOPE, SLOPE_BETWEEN = 1.0, 3.0
+#: Grays that count as near black in every picture, each as much as this number of pixels.
+GRAYS, WEIGHT = 17, 1e-3
+
+
+class Recolored(np.ndarray):
+    """A recolored picture: an array like any other, which a notebook shows as a picture.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> found = clmorph.recolor(np.zeros((2, 2, 3)), np.ones((2, 2, 3)), backend="numpy")
+    >>> isinstance(found, np.ndarray), found.shape
+    (True, (2, 2, 3))
+    >>> found._repr_html_().startswith("<figure")
+    True
+    """
+
+    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+        """Results of calculations are plain arrays and numbers."""
+        return np.asarray(array) if array.ndim else array[()]
+
+    def _repr_html_(self) -> str | None:
+        """Show the picture in a notebook; None, for the numbers, if this is none."""
+        if self.ndim != 3 or self.shape[2] not in (3, 4) or not self.size:
+            return None
+        if self.dtype != np.float64 or not ((self >= 0) & (self <= 1)).all():
+            return None
+        height, width = self.shape[:2]
+        return picture(to_bytes(np.asarray(self)), f"Recolored picture, {width} × {height} pixels")
 
 
 @documented(RecolorOptions)
@@ -151,8 +184,9 @@ class Look:
     strength: float
     dark: NearBlack
 
-    def moved(self, colors: Array, shares: Array, report: StageProgress) -> Array:
-        """Return colors (N, 3) after shares (N,) of their steps, computed a part at a time."""
+    def moved(self, colors: Array, report: StageProgress, shares: Array | None = None) -> Array:
+        """Return colors (N, 3) after shares (N,) of their steps, in full if None, part by part."""
+        shares = np.full(len(colors), self.strength) if shares is None else shares
 
         def moved(part: slice) -> Array:
             return self._moved(colors[part], shares[part])
@@ -201,6 +235,49 @@ def fitted_look(
         lambda chosen: _stepped(chosen, np.full(len(chosen), strength), change, space),
     )  # fmt: skip
     return Look(change, space, strength, dark)
+
+
+class NearBlack(NamedTuple):
+    """The map of colors near black: mean + slope (color - middle), no steeper than the picture.
+
+    Color spaces are steep at black: in Oklab the cube root makes the levels 0 and 3 of 8 bits as
+    different as 60 and 90, and where dark noise is a large part of a picture, a map that gives it
+    the other picture's colors spreads it over all of them.
+    """
+
+    #: Mean of the picture's colors near black, and of what the map makes of them: (3,) arrays.
+    middle: Array
+    mean: Array
+    slope: float
+
+    def reaches(self, colors: Array) -> NDArray[np.bool_]:
+        """Return which colors, (N, 3), `limited` can change."""
+        return np.asarray(self.far(colors)[:, 0] < 1.0, bool)
+
+    def far(self, colors: Array) -> Array:
+        """Return how far colors may be from the line, at most 1: (N, 1) array."""
+        apart = SLOPE_BETWEEN * (colors.max(axis=1) - DARK)
+        return np.clip(apart, 0.0, 1.0)[:, None]
+
+    def limited(self, colors: Array, moved: Array) -> Array:
+        """Return what a map makes of colors, (N, 3), limited around the line, continuously."""
+        line = self.mean + self.slope * (colors - self.middle)
+        far = self.far(colors)
+        return np.clip(np.clip(moved, line - far, line + far), 0.0, 1.0)
+
+
+def near_black(colors: Array, weights: Array, move: Callable[[Array], Array]) -> NearBlack:
+    """Fit a line of slope 0 to `SLOPE` to what a map makes of colors (N, 3) near black."""
+    dark = colors.max(axis=1) <= DARK
+    grays = np.repeat(np.linspace(0.0, DARK, GRAYS)[:, None], 3, axis=1)
+    before = np.concatenate((colors[dark], grays))
+    share = np.concatenate((weights[dark], np.full(GRAYS, WEIGHT)))
+    share = (share / share.sum())[:, None]
+    after = move(before)
+    middle, mean = (share * before).sum(axis=0), (share * after).sum(axis=0)
+    apart = before - middle
+    slope = float((share * apart * (after - mean)).sum() / (share * apart**2).sum())
+    return NearBlack(middle, mean, float(np.clip(slope, 0.0, SLOPE)))
 
 
 def _stepped(colors: Array, shares: Array, change: ColorMap, space: str) -> Array:
@@ -266,14 +343,14 @@ def _apply(pixels: Array, look: Look, amounts: Array, report: StageProgress) -> 
     shares = shares[chosen]
     codes = _codes(flat, chosen) if np.all(shares == shares[0]) else None
     if codes is None:
-        flat[chosen, :3] = look.moved(flat[chosen, :3], shares, report)
+        flat[chosen, :3] = look.moved(flat[chosen, :3], report, shares)
         return
     # Pictures of 8 bits have many more pixels than colors.
     known = np.zeros(LEVELS**3, bool)
     known[codes] = True
     distinct = np.flatnonzero(known)
     colors = np.stack(np.unravel_index(distinct, (LEVELS,) * 3), axis=1) / (LEVELS - 1.0)
-    found = look.moved(colors, shares[: len(distinct)], report)
+    found = look.moved(colors, report, shares[: len(distinct)])
     places = np.zeros(LEVELS**3, np.int32)
     places[distinct] = np.arange(len(distinct))
     for part in _parts(len(chosen)):

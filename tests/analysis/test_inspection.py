@@ -35,8 +35,8 @@ from clmorph.errors import (
 )
 from clmorph.frames.particles import particles
 from clmorph.images.pixels import as_rgb
+from clmorph.pipeline.budget import predict_pairs
 from clmorph.pipeline.memory import DRAWN, PARTICLE, Memory, estimate, most_particles
-from clmorph.pipeline.pair_count import predict_pairs
 from clmorph.pipeline.presets import PRESETS
 
 OPTIONS = {"blur": 0.05, "reach": 0.3, "color_weight": 0.5}

@@ -9,7 +9,7 @@ from clmorph import InputError, fit
 from clmorph.analysis.metrics import hole_fraction, path_divergence
 from clmorph.images.detail import auto_sigma, intrinsic_spacing
 from clmorph.images.pixels import as_rgb
-from clmorph.pipeline.optimal_width import WIDTHS
+from clmorph.pipeline.morph import WIDTHS
 
 
 def test_a_sprites_width_is_half_its_block(rng):

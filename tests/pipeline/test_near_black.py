@@ -5,7 +5,7 @@ import pytest
 from skimage import data
 
 import clmorph
-from clmorph.pipeline import near_black as module
+from clmorph.pipeline import recolor as module
 
 PHOTOGRAPHS = "astronaut", "coffee", "rocket", "chelsea"
 

@@ -13,7 +13,7 @@ from plain import sinkhorn
 
 import clmorph
 from clmorph.backends.numpy import NumPyOperations
-from clmorph.pipeline.pair_count import predict_pairs
+from clmorph.pipeline.budget import predict_pairs
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import LEAST_RESERVE, MANY_PAIRS, Softmin, many_pairs
 from clmorph.transport.regularization import regularization

@@ -26,9 +26,8 @@ from clmorph.output.options import FrameStyle
 from clmorph.output.playback import eased
 from clmorph.output.save import Output
 from clmorph.pipeline.guides import Guided
-from clmorph.pipeline.mixing.leg import Leg
 from clmorph.pipeline.mixing.weights import Layout, check_mix_weights, path_weights
-from clmorph.pipeline.mixing.writing import check_outputs, sheet_of, write_film, write_sheet
+from clmorph.pipeline.mixing.writing import Leg, check_outputs, sheet_of, write_film, write_sheet
 from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import Picture
@@ -39,14 +38,6 @@ from clmorph.pipeline.result import Morph
 def pairs_of(count: int) -> list[tuple[int, int]]:
     """Return the pairs of images between which mixes are solved, in the order of landmarks."""
     return list(itertools.combinations(range(count), 2))
-
-
-class _Solved:
-    """Morphs that are kept: between images, and the one between two mixes that was used last."""
-
-    def __init__(self) -> None:
-        self.morphs: dict[tuple[int, int], Morph] = {}
-        self.last: dict[bytes, Morph] = {}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -90,7 +81,9 @@ class Mixes(Items[Frame]):
     operations: Operations = field(repr=False)
     shapes: list[tuple[int, int]]
     progress: StageProgress = field(repr=False)
-    _solved: _Solved = field(init=False, default_factory=_Solved, repr=False)
+    #: The morphs between images, and the one between two mixes that was used last.
+    _morphs: dict[tuple[int, int], Morph] = field(init=False, default_factory=dict, repr=False)
+    _last: dict[bytes, Morph] = field(init=False, default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
         return f"<Mixes of {len(self.images)} images, {len(self)} pictures>"
@@ -182,16 +175,16 @@ class Mixes(Items[Frame]):
         """
         first = check_integer("first", first, 0, len(self.images) - 1)
         second = check_integer("second", second, 0, len(self.images) - 1)
-        if (first, second) not in self._solved.morphs:
+        if (first, second) not in self._morphs:
             pair = ImagePair(
                 [self.images[first], self.images[second]], self._options_of(first, second),
                 [self.shapes[first], self.shapes[second]],
             )  # fmt: skip
             name = f" {first + 1}-{second + 1}" if len(self.images) > 2 else ""
-            self._solved.morphs[first, second] = pair.morph(
+            self._morphs[first, second] = pair.morph(
                 self.operations, lambda stage, share: self.progress(stage + name, share)
             )
-        return self._solved.morphs[first, second]
+        return self._morphs[first, second]
 
     def _options_of(self, first: int, second: int) -> MorphOptions:
         """Return the options of the morph between two images."""
@@ -367,11 +360,11 @@ class Mixes(Items[Frame]):
     def _step(self, weights: Array) -> Array:
         """Draw a mix as the frame of a morph between the mixes of both halves of the images."""
         first, second, key = self._halves(weights)
-        if key not in self._solved.last:
+        if key not in self._last:
             ends = [self._drawn(each).astype(np.float64) for each in (first, second)]
             plain = self.options.replace(landmarks=None)
             found = ImagePair(ends, plain).morph(self.operations, self.progress)
-            self._solved.last.clear()
-            self._solved.last[key] = found
+            self._last.clear()
+            self._last[key] = found
         share = float(weights[second > 0].sum())
-        return self._solved.last[key].frame(share).astype(np.float64)
+        return self._last[key].frame(share).astype(np.float64)

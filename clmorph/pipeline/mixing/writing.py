@@ -1,8 +1,9 @@
-"""Write mixes to files: a sheet with all of them, or a film of a path through them."""
+"""Mixes in files: a sheet with all of them, or a film of a path through them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +12,71 @@ from numpy.typing import NDArray
 
 from clmorph._shared.files import write_together
 from clmorph._shared.progress import StageProgress
+from clmorph._shared.typing import Array
 from clmorph.errors import OutputError
 from clmorph.frames.sequence import Frame
 from clmorph.output.framing import Framing
 from clmorph.output.metadata import as_png_info
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import held_frames, motion_of
-from clmorph.output.recording import Drawn
 from clmorph.output.save import Output, recorded_for, write_all
 from clmorph.pipeline.mixing.weights import Layout
 from clmorph.pipeline.options import MorphOptions
 
 #: The ending of files with a sheet of mixes.
 SHEET = ".png"
+
+
+@dataclass(frozen=True)
+class Leg:
+    """The frames of a path from one mix to another one.
+
+    Attributes
+    ----------
+    draw : callable
+        Draws a mix by its weights.
+    start, end : (K,) arrays
+        Weights at both ends.
+    times : (n,) array
+        Times of the frames, from 0 to 1; weights change linearly with time.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> images = np.zeros((3, 6, 6, 3))
+    >>> mixes = clmorph.mix(images, [1, 1, 1], n_frames=3, backend="numpy")
+    >>> leg = mixes.path("ab")[0]
+    >>> len(leg), next(leg.iter_frames()).shape
+    (3, (6, 6, 3))
+    """
+
+    draw: Callable[[Array], Frame]
+    start: Array
+    end: Array
+    times: Array
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:
+        """Draw the frames one by one.
+
+        Parameters
+        ----------
+        first : int
+            Number of the first frame.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> images = np.zeros((2, 6, 6, 3))
+        >>> leg = clmorph.mix(images, [1, 1], n_frames=3, backend="numpy").path("ab")[0]
+        >>> [frame.shape for frame in leg.iter_frames()]
+        [(6, 6, 3), (6, 6, 3), (6, 6, 3)]
+        """
+        return (self.draw((1 - t) * self.start + t * self.end) for t in self.times[first:])
 
 
 def check_outputs(outputs: Sequence[Output], n_stops: int, options: MorphOptions) -> None:
@@ -81,7 +134,7 @@ def write_sheet(
 
 def write_film(
     outputs: Sequence[Output],
-    legs: Sequence[Drawn],
+    legs: Sequence[Leg],
     options: MorphOptions,
     pixelated: bool,
     metadata: Mapping[str, Any],
