@@ -59,14 +59,10 @@ def number(low: float, high: float, *, open_low: bool = False) -> Kind:
 
 def integer(low: int, high: int) -> Kind:
     """Return the kind of whole numbers in [low, high]."""
-
-    def read(text: str) -> int:
-        return int(text)
-
     schema = {"type": "integer", "minimum": low, "maximum": high}
     return Kind(
         lambda name, value: check_integer(name, value, low, high),
-        "a whole number", "integer", read, schema,
+        "a whole number", "integer", int, schema,
         lambda value: _is_number(value) and float(as_float(value) or 0.0).is_integer(),
     )  # fmt: skip
 

@@ -118,8 +118,8 @@ class Options:
     def json_schema(cls) -> dict[str, Any]:
         """Return the JSON Schema of the options in the form of files, by their names outside."""
         properties = {
-            outside_name(name, known): _described(known, getattr(cls, name))
-            for name, known in specifications(cls).items()
+            outside: _described(known, getattr(cls, name))
+            for outside, (name, known) in by_outside_name(cls).items()
         }
         return {
             "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -194,6 +194,13 @@ def specifications(options: type[Options]) -> dict[str, Option]:
 def outside_name(name: str, known: Option) -> str:
     """Return the name of an option outside."""
     return known.outside or name
+
+
+def by_outside_name(options: type[Options]) -> dict[str, tuple[str, Option]]:
+    """Return the name in Python and the definition of each option, by its name outside."""
+    return {
+        outside_name(name, known): (name, known) for name, known in specifications(options).items()
+    }
 
 
 def unknown_option(name: str, known: Mapping[str, Any]) -> str:

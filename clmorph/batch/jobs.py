@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from clmorph._shared.options import from_line, outside_name, specifications, unknown_option
+from clmorph._shared.options import by_outside_name, from_line, unknown_option
 from clmorph._shared.printable import printable
 from clmorph._shared.validation import errors_about, shown
 from clmorph.batch.places import INDEX, JOURNAL, file_identity, name_of, read_bytes, resolved
@@ -143,12 +143,6 @@ def _wanted() -> str:
     return f"{', '.join(COLUMNS)} and any option of clmorph morph"
 
 
-def _known() -> dict[str, str]:
-    """Return the options' names in Python, by their names outside."""
-    names = specifications(MorphOptions)
-    return {outside_name(name, each): name for name, each in names.items()}
-
-
 def _plain(name: str) -> str:
     """Return the name of a column without dashes."""
     return name.replace("-", "_")
@@ -161,6 +155,7 @@ def _folder_of(place: str) -> str:
 
 def _check_columns(where: str, names: list[str]) -> None:
     plains = [_plain(name) for name in names]
+    known = dict.fromkeys((*COLUMNS, *_FILES, PRESET, *by_outside_name(MorphOptions)))
     missing = [name for name in COLUMNS if name not in plains]
     if missing:
         raise FileError(f"{where}: no column {' and '.join(missing)}; expected {_wanted()}")
@@ -168,20 +163,19 @@ def _check_columns(where: str, names: list[str]) -> None:
         plain = plains[number]
         if plain in plains[:number]:
             raise FileError(f"{where}: two columns {shown(name)}")
-        if plain not in (*COLUMNS, *_FILES, PRESET, *_known()):
-            known = dict.fromkeys((*COLUMNS, *_FILES, PRESET, *_known()))
+        if plain not in known:
             raise FileError(f"{where}: {unknown_option(name, known)}")
 
 
 def _from_texts(where: str, row: Mapping[str, str], base: str) -> dict[str, Any]:
     """Return the options of a row of CSV, by their names in Python; `base` is its folder."""
-    names, specified = _known(), specifications(MorphOptions)
+    names = by_outside_name(MorphOptions)
     found: dict[str, Any] = {}
     for plain, text in row.items():
         if plain == PRESET:
             found[PRESET] = text
         elif plain in names:
-            each = specified[names[plain]]
+            name, each = names[plain]
             with errors_about(f"{where}: {plain}", FileError):
                 flag = not each.kind.metavar
                 if flag and text.lower() not in FLAGS:
@@ -189,7 +183,7 @@ def _from_texts(where: str, row: Mapping[str, str], base: str) -> dict[str, Any]
                 # A file of landmarks is relative to the table, as pictures are.
                 if plain == "landmark" and text.lower().endswith((".csv", ".txt")):
                     text = resolved(text, base)
-                found[names[plain]] = FLAGS[text.lower()] if flag else from_line(each, text)
+                found[name] = FLAGS[text.lower()] if flag else from_line(each, text)
     return found
 
 

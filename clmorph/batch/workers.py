@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,6 +14,8 @@ from clmorph.errors import InputError
 
 #: The address of all ports of a local cluster: no other machine reaches them.
 LOCAL = "127.0.0.1"
+#: The variable of the level of Dask's log in the workers' processes.
+LEVEL = "DASK_LOGGING__DISTRIBUTED"
 #: Seconds in which a scheduler must answer.
 TIMEOUT = 10.0
 #: What is set of Dask. One worker may die during a job before the job is given up. The statistical
@@ -46,10 +49,8 @@ def quiet_dask() -> Iterator[None]:
     # is the one that collects, both wait for good.
     gc.collect()
 
-    kept = os.environ.get("DASK_LOGGING__DISTRIBUTED")
-    os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"  # of the workers' processes
-    import logging
-
+    kept = os.environ.get(LEVEL)
+    os.environ[LEVEL] = "critical"  # of the workers' processes
     logs = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
     levels = [log.level for log in logs]
     for log in logs:
@@ -60,10 +61,9 @@ def quiet_dask() -> Iterator[None]:
     finally:
         for log, level in zip(logs, levels, strict=True):
             log.setLevel(level)
-        if kept is None:
-            os.environ.pop("DASK_LOGGING__DISTRIBUTED", None)
-        else:
-            os.environ["DASK_LOGGING__DISTRIBUTED"] = kept
+        del os.environ[LEVEL]
+        if kept is not None:
+            os.environ[LEVEL] = kept
 
 
 @contextmanager

@@ -169,10 +169,9 @@ def _entries(path: Path, name: str, value: Any, count: int | None = None) -> lis
 
 def _check_own(path: Path, users: Settings) -> None:
     """Check the command line's own options, and resolve outputs relative to the file's folder."""
-    kinds = {"format": str, "recipe": bool, "max_pixels": int}
-    for name, kind in kinds.items():
+    words = {"format": "a text", "recipe": "true or false", "max_pixels": "a whole number"}
+    for (name, expected), kind in zip(words.items(), (str, bool, int), strict=True):
         if name in users and type(users[name]) is not kind:
-            expected = {str: "a text", bool: "true or false", int: "a whole number"}[kind]
             raise InputError(f"{path}: {name} = {shown(users[name])}: expected {expected}")
     if OUTPUT in users:
         outputs = users[OUTPUT] if isinstance(users[OUTPUT], list) else [users[OUTPUT]]

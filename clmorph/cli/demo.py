@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from clmorph.backends.interface import Operations
 from clmorph.cli.terminal import Stages
-from clmorph.images.pixels import as_rgb, fit, read_image
+from clmorph.images.pixels import as_rgb, fit, read_image, to_bytes
 from clmorph.output.playback import Motion
 from clmorph.output.save import Output, recorded_for, write_all
 from clmorph.pipeline.morph import morph
@@ -16,6 +17,8 @@ from clmorph.pipeline.morph import morph
 #: Pixels along a block of the enlarged sprite, and pixels along the photograph.
 SPRITE_ZOOM = 6
 PHOTO_SIDE = 256
+#: Names of the pictures on the page of the studio.
+SAMPLES = ("sprite.png", "photograph.png")
 
 
 def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -26,6 +29,14 @@ def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         sprite = read_image(file)
     blocks = np.ones((SPRITE_ZOOM, SPRITE_ZOOM, 1))
     return np.asarray(np.kron(sprite, blocks), float), fit(as_rgb(chelsea()[:, 85:385]), PHOTO_SIDE)
+
+
+def write_samples(folder: Path) -> list[Path]:
+    """Write both pictures to a folder, for the studio, and return their paths."""
+    paths = [folder / name for name in SAMPLES]
+    for path, pixels in zip(paths, demo_images(), strict=True):
+        Image.fromarray(np.ascontiguousarray(to_bytes(pixels))).save(path)
+    return paths
 
 
 def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:

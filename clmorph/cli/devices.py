@@ -1,16 +1,23 @@
 """The commands ``clmorph devices``, ``clmorph check`` and ``clmorph tune``."""
 
 import json
+import platform
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
+from numpy.typing import NDArray
 
 from clmorph._shared.files import atomic_path, check_file_place, is_standard_output
 from clmorph._shared.printable import printable, reason_of
+from clmorph._shared.version import __version__
+from clmorph.backends.interface import Operations
+from clmorph.backends.opencl.build.kernel_files import KERNELS
 from clmorph.backends.opencl.devices.cache import cache_folder
 from clmorph.backends.opencl.devices.find import (
     Device,
@@ -20,9 +27,9 @@ from clmorph.backends.opencl.devices.find import (
     mark_unusable,
 )
 from clmorph.backends.opencl.devices.verdicts import WRONG
-from clmorph.backends.opencl.verification.findings import Finding
+from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS, Finding, words_of
 from clmorph.cli.terminal import NOTES, RESULTS, note
-from clmorph.errors import ClmorphError, DeviceError, OutputError
+from clmorph.errors import ClmorphError, DeviceError, InputError, OutputError
 
 _TRYING = "trying OpenCL devices (remembered from the second time on)"
 
@@ -151,8 +158,6 @@ def check_devices(
     no longer unusable because of a wrong result. If there are `kernels`, only operations that use
     one of these, or of these files, are compared.
     """
-    from clmorph.cli.conformance import wanted_kernels
-
     wanted_kernels(kernels)  # or an error
     devices = _choose(spec, every, even_wrong=spec is not None)
     if report is not None:
@@ -173,7 +178,6 @@ def check_devices(
 def _check_one(device: Device, kernels: Sequence[str]) -> dict[str, Any]:
     from clmorph.backends.opencl.backend import OpenCLOperations
     from clmorph.backends.opencl.devices.throughput import LEAST_SHARE, throughput
-    from clmorph.cli.conformance import check, report
 
     click.echo(f"[{device.index}] {device.name} ({device.platform}, driver {device.driver})")
     if not device.usable:
@@ -208,13 +212,11 @@ def _check_one(device: Device, kernels: Sequence[str]) -> dict[str, Any]:
         else f"all took {elapsed:.2f} s with NumPy's; the device's own clock does not run"
     )
     _remember(device, findings, whole=not kernels)
-    return report(device, findings, speed, seconds)
+    return _bundle(device, findings, speed, seconds)
 
 
 def _print_findings(findings: list[Finding]) -> None:
     from rich.table import Table
-
-    from clmorph.cli.conformance import nearest
 
     table = Table(box=None, pad_edge=False)
     for title in ("operation", "largest error", "tolerance", "", "share", "verdict"):
@@ -225,7 +227,7 @@ def _print_findings(findings: list[Finding]) -> None:
             "pass" if f.passed else "FAIL",
         )  # fmt: skip
     RESULTS.print(table)
-    if close := nearest(findings):
+    if close := _nearest(findings):
         click.echo(f"nearest its tolerance: {close.name} ({_percent(close)} of it)")
 
 
@@ -243,3 +245,94 @@ def _remember(device: Device, findings: list[Finding], whole: bool) -> None:
     elif whole and not device.usable:
         forget_verdicts(device.handle)
         note("what was remembered of the device is forgotten: it is tried again when it is needed")
+
+
+def _picture(side: int, phase: float) -> NDArray[np.float64]:
+    """Draw a smooth test picture."""
+    y, x = np.mgrid[:side, :side] / side
+    waves = [np.sin(5 * x + k * y + phase) * np.cos(3 * y - k * phase) for k in (1, 3, 6)]
+    return 0.5 + 0.5 * np.stack(waves, axis=-1)
+
+
+def check(operations: Operations, kernels: Sequence[str] = ()) -> Iterator[Finding]:
+    """Compare a backend with NumPy, one operation after the other, and a morph.
+
+    If names of kernels, or of kernel files with or without their ending, are given, only the
+    operations that use one of them are compared. An error to which wrong results lead is a finding,
+    too: the data of the comparisons are right, so those of clmorph come from wrong results as well.
+    """
+    # It imports pyopencl; where that is missing, the choice of the device has said so.
+    from clmorph.backends.opencl.verification.table import device_checks
+    from clmorph.measures.lift import lift
+
+    wanted = wanted_kernels(kernels)
+    first, second = lift(_picture(37, 0.2)), lift(_picture(31, 1.7))
+    clouds = (first.points, first.weights), (second.points, second.weights)
+    for used, run in device_checks(operations, clouds):
+        if wanted & set(used):
+            yield from _findings(", ".join(used), run())
+    yield from _findings("morph", _check_morph(operations))
+
+
+def _findings(about: str, found: Iterator[Finding]) -> Iterator[Finding]:
+    try:
+        yield from found
+    except SIGNS_OF_WRONG_RESULTS as error:
+        yield Finding(f"{about} ended in {words_of(error)}", np.inf, 0.0, "")
+
+
+def wanted_kernels(names: Sequence[str]) -> set[str]:
+    """Return the kernels that some names of kernels and files stand for; all if there are none."""
+    found: set[str] = set()
+    for name in names or KERNELS:
+        own = [
+            kernel
+            for file, kernels in KERNELS.items()
+            for kernel in kernels
+            if name in (kernel, file, file.removesuffix(".cl"))
+        ]
+        if not own:
+            listed = ", ".join(f"{file} ({', '.join(of)})" for file, of in KERNELS.items())
+            raise InputError(f"--kernel {name!r}: expected a kernel or a file among {listed}")
+        found.update(own)
+    return found
+
+
+def _check_morph(operations: Operations) -> Iterator[Finding]:
+    from clmorph.backends.numpy import NumPyOperations
+    from clmorph.pipeline.morph import morph
+
+    images = _picture(20, 0.4), _picture(24, 2.9)
+    ours, theirs = (
+        morph(*images, n_frames=3, backend=backend) for backend in (operations, NumPyOperations())
+    )
+    error = max(float(np.abs(a - b).max()) for a, b in zip(ours.frames, theirs.frames, strict=True))
+    yield Finding("morph", 255 * error, 1.0, "of 255")
+
+
+def _nearest(findings: Sequence[Finding]) -> Finding | None:
+    """Return the finding whose error is the largest share of its tolerance; None if none is."""
+    return max(findings, key=lambda finding: finding.share, default=None)
+
+
+def _bundle(
+    device: Any, findings: list[Finding], pairs_per_second: float, seconds: dict[str, Any]
+) -> dict[str, Any]:
+    """Collect the data about a device for a report in JSON, without personal data."""
+    close = _nearest(findings)
+    return {
+        "clmorph": __version__,
+        "system": f"{platform.system()} {platform.machine()}",
+        "device": device.record(),
+        "pairs_per_second": pairs_per_second,
+        "seconds": seconds,
+        "findings": [_record(finding) for finding in findings],
+        "nearest": None if close is None else close.name,
+    }
+
+
+def _record(finding: Finding) -> dict[str, Any]:
+    numbers = {"error": finding.error, "share": finding.share}
+    # JSON has no infinity.
+    finite = {name: value if np.isfinite(value) else None for name, value in numbers.items()}
+    return asdict(finding) | finite | {"passed": finding.passed}

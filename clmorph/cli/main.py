@@ -166,8 +166,7 @@ def morph(context: click.RichContext, /, **given: Any) -> None:
 
     Options that are not given are those of the preset.
     """  # noqa: D301
-    from clmorph.cli.clip import has_clip, run_clips
-    from clmorph.cli.morph import announce_idle, run_morph
+    from clmorph.cli.morph import run_morph
 
     config, line = given["config"], options.given_options(given)
     chosen = _chosen_by_preset(context, given, line)
@@ -185,11 +184,7 @@ def morph(context: click.RichContext, /, **given: Any) -> None:
         capped=config is not None and not config.named.own and "max_memory" not in line,
         named=frozenset((*line, *(() if config is None else config.options))),
     )  # fmt: skip
-    if has_clip(request):
-        run_clips(request)
-        return
-    announce_idle(list(line), request)
-    run_morph(request)
+    run_morph(request, line)
 
 
 def _dump(

@@ -156,9 +156,16 @@ def studio(
     clmorph studio                       http://127.0.0.1:8017/, for this machine alone
     clmorph studio --port 0 --no-browser
     """  # noqa: D301
-    from clmorph.cli.studio import run_studio
+    from clmorph.cli.common import device_name
+    from clmorph.cli.demo import write_samples
+    from clmorph.cli.reporting import line_of
+    from clmorph.cli.terminal import say
+    from clmorph.studio.serve import serve
 
-    run_studio(host, port, device, backend, browser)
+    serve(
+        host, port, device=device_name(device, backend), browser=browser, samples=write_samples,
+        line_of=line_of, say=say,
+    )  # fmt: skip
 
 
 @click.command()

@@ -1,9 +1,9 @@
-"""The command ``clmorph morph``: it reads pictures and writes one or more output files."""
+"""The command ``clmorph morph``: pictures, or clips while both play, become one or more files."""
 
 import itertools
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,16 +14,20 @@ from numpy.typing import NDArray
 from clmorph._shared.printable import size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
-from clmorph.cli.common import noted_warnings
+from clmorph.cli.common import noted_warnings, read_picture
 from clmorph.cli.request import Request
 from clmorph.cli.terminal import Stages, note, say
+from clmorph.clips.reading import is_clip
 from clmorph.errors import ConvergenceWarning, FileError, InputError, MemoryWarning, PruningWarning
 from clmorph.images.detail import is_pixel_art
+from clmorph.images.resizing import as_unit
 from clmorph.measures.pixel_blocks import block_side, solved_size
 from clmorph.output.framing import enlargement_note
 from clmorph.output.recording import Recording
 from clmorph.output.save import PACE, SIZES, recorded_for, write_all
 from clmorph.pipeline.budget import default_memory
+from clmorph.pipeline.clip_morph import EVERY, clip_film
+from clmorph.pipeline.clip_writing import check_clip_outputs, write_clip_film
 from clmorph.pipeline.guides import Guided
 from clmorph.pipeline.maps import Maps
 from clmorph.pipeline.memory import expected, process_memory
@@ -96,8 +100,12 @@ class _Run:
             del morph  # before the next one is computed
 
 
-def run_morph(request: Request) -> None:
-    """Morph each picture into the next one, write the output files, and print a summary."""
+def run_morph(request: Request, line: Collection[str]) -> None:
+    """Morph each picture into the next one; `line` names the options of the command line."""
+    if any(map(is_clip, request.images)):
+        _run_clips(request)
+        return
+    _announce_idle(line, request)
     places, count = request.places, len(request.images)
     request.check_files()
     motion = request.motion()
@@ -192,6 +200,45 @@ def _summary(run: _Run, film: Recording, notes: list[Warning]) -> dict[str, Any]
     }
 
 
+def _run_clips(request: Request) -> None:
+    """Write a film in which one becomes the other, and print a summary."""
+    options, places = request.options, request.places
+    check_clip_outputs(places)
+    request.check_files()
+    if len(request.images) != 2:
+        raise InputError(
+            f"{len(request.images)} pictures and clips are given: expected two, of which one or "
+            "both are clips"
+        )
+    if request.beside:
+        raise InputError(f"--{next(iter(request.beside))} is for stills: leave it out for a clip")
+    if "size" not in request.named:
+        options = options.replace(size=None)
+    ends = [
+        path if is_clip(path) else as_unit(read_picture(path, request.max_pixels))
+        for path in request.images
+    ]
+    with request.stages() as stages:
+        operations = request.open()
+        film = clip_film(
+            ends[0], ends[1], options, options.fps if "fps" in request.named else None, EVERY,
+            request.max_pixels, operations, stages,
+        )  # fmt: skip
+        if options.duration is None:  # the recipe has the rate of the film
+            options = options.replace(fps=float(film.rate))
+        parameters = request.metadata(options, operations)
+        frames = write_clip_film(film, places, parameters, request.texts(options, operations))
+        summary: dict[str, Any] = {
+            "outputs": request.written,
+            "frames": frames,
+            "transition": film.count,
+            "fps": float(film.rate),
+            "sizes": [list(film.size)],
+            **parameters,
+        }
+    request.finish(summary, stages, f"{frames} frames, {frames / summary['fps']:.3g} s")
+
+
 def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
     """Print a note about images that have changed since the file of settings was written."""
     for path, known in images:
@@ -204,7 +251,7 @@ def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
             note(f"{path} is not the file that was used then")
 
 
-def announce_idle(names: Sequence[str], request: Request) -> None:
+def _announce_idle(names: Collection[str], request: Request) -> None:
     """Print a note about options that have no effect on any output."""
     known = {name for place in request.places for name in place.format.relevant_options}
     for name in (*SIZES, *PACE, "lossless"):

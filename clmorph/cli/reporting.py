@@ -40,23 +40,18 @@ def run(
     try:
         code = _run(command, arguments)
         sys.stdout.flush()
+        return code if isinstance(code, int) else 0
     except click.ClickException as error:
         message = " ".join(error.format_message().split())
-        _complain(f"error: {message} (clmorph --help shows the usage)")
-        return 2
+        line = f"error: {message} (clmorph --help shows the usage)"
     except ClmorphError as error:
-        _complain(line_of(error, names))
-        return 2
+        line = line_of(error, names)
+    except UnicodeEncodeError as error:
+        line = f"error: a name cannot be printed here ({error.reason})"
     except UnicodeError as error:
-        _complain(
-            f"error: a name cannot be printed here ({error.reason})"
-            if isinstance(error, UnicodeEncodeError)
-            else f"error: {error}"
-        )
-        return 2
+        line = f"error: {error}"
     except MemoryError:
-        _complain("error: not enough memory; use a smaller --size")
-        return 2
+        line = "error: not enough memory; use a smaller --size"
     except (click.Abort, KeyboardInterrupt):
         return farewell(ending, signal.SIGINT)
     except Terminated as error:
@@ -66,9 +61,9 @@ def run(
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if is_closed_pipe(error):
             return 0
-        _complain(f"error: {_reason(error)}")
-        return 2
-    return code if isinstance(code, int) else 0
+        line = f"error: {_reason(error)}"
+    _complain(line)
+    return 2
 
 
 def line_of(error: ClmorphError, names: Mapping[str, str] | None = None) -> str:

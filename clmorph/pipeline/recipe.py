@@ -10,13 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from clmorph._shared.options import (
-    Options,
-    from_outside,
-    outside_name,
-    specifications,
-    unknown_option,
-)
+from clmorph._shared.options import Options, by_outside_name, from_outside, unknown_option
 from clmorph._shared.printable import reason_of
 from clmorph._shared.validation import errors_about, is_path, shown
 from clmorph._shared.version import __version__
@@ -76,9 +70,7 @@ def options_of(
     settings: Mapping[str, Any], where: str, options: type[Options] = MorphOptions
 ) -> dict[str, Any]:
     """Return a file's options by their names in Python; `where` is its name in messages."""
-    known = {
-        outside_name(name, each): (name, each) for name, each in specifications(options).items()
-    }
+    known = by_outside_name(options)
     presets = (PRESET,) if options is MorphOptions else ()
     found: dict[str, Any] = {}
     for key, value in settings.items():

@@ -35,8 +35,7 @@ from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
 from clmorph.backends.opencl.verification import table
 from clmorph.backends.opencl.verification.findings import Finding
 from clmorph.backends.opencl.verification.table import TABLE
-from clmorph.cli import conformance
-from clmorph.cli.conformance import check
+from clmorph.cli.devices import check, wanted_kernels
 from clmorph.cli.main import main
 from clmorph.reference import NumPyOperations
 
@@ -123,7 +122,7 @@ def test_a_clock_that_does_not_run_is_told(faked, capfd):
 def faked(monkeypatch, asked):
     """Let `check` find what is in a list, in an empty cache and without real trials."""
     findings = [Finding("fine", 0.1, 1.0, "u"), Finding("splat, sigma 5", 2.0, 1.0, "u")]
-    monkeypatch.setattr("clmorph.cli.conformance.check", lambda operations, kernels: findings)
+    monkeypatch.setattr("clmorph.cli.devices.check", lambda operations, kernels: findings)
     monkeypatch.setattr("clmorph.backends.opencl.devices.throughput.throughput", lambda *_: 1e9)
     return findings
 
@@ -181,8 +180,8 @@ def test_check_of_some_kernels(device):
     assert any("sample_plan_rows" in name for name in named)
     assert not any("softmin" in name or "moments" in name for name in named)
     for name in ("near_field", "near_field.cl"):
-        assert conformance.wanted_kernels([name]) == set(KERNELS["near_field.cl"])
-    assert conformance.wanted_kernels(["mark_columns"]) == {"mark_columns"}
+        assert wanted_kernels([name]) == set(KERNELS["near_field.cl"])
+    assert wanted_kernels(["mark_columns"]) == {"mark_columns"}
 
 
 @pytest.mark.needs_device
@@ -194,7 +193,7 @@ def test_an_unknown_kernel_is_told(refused):
 
 def test_every_kernel_has_a_comparison():
     """One of its own, beside the morph, which uses all."""
-    assert {kernel for row in TABLE for kernel in row.kernels} == conformance.wanted_kernels([])
+    assert {kernel for row in TABLE for kernel in row.kernels} == wanted_kernels([])
     assert {row.file for row in TABLE} == set(KERNELS)
 
 
@@ -219,7 +218,7 @@ def test_a_failing_driver_is_told_in_one_line(faked, monkeypatch, capfd, error, 
         yield from faked if found else ()
         raise error
 
-    monkeypatch.setattr("clmorph.cli.conformance.check", find)
+    monkeypatch.setattr("clmorph.cli.devices.check", find)
     index = TESTED[0].index
     assert main(["check", "--device", index]) == 2
     printed = capfd.readouterr()
