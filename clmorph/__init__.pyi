@@ -47,8 +47,12 @@ from .pipeline.result import Morph
 from .transport.barycenters.barycenter import barycenter
 from .transport.barycenters.result import Barycenter
 from .transport.barycentric import Barycentric, barycentric_plan
-from .transport.displacement import Displacement, displacement_statistics
-from .transport.displacement_field import DisplacementField, displacement_field
+from .transport.displacement import (
+    Displacement,
+    DisplacementField,
+    displacement_field,
+    displacement_statistics,
+)
 from .transport.divergence import Divergence, sinkhorn_divergence
 from .transport.divergence_batch import (
     DivergenceMatrix,

@@ -149,29 +149,26 @@ def check_measure(name: str, measure: Measure) -> None:
     except (TypeError, ValueError) as error:
         reason = f": {error}" if isinstance(error, InputError) else ""
         raise InputError(f"{name} is not a usable Measure{reason}; {remedy}") from None
-    shapes = {"positions": (n, 2), "colors": (n, 3), "weights": (n,)}
-    if measure.alpha is not None:
-        shapes["alpha"] = (n,)
-    if measure.warped is not None:
-        shapes["warped"] = (n, 2)
-    if measure.features is not None:
-        given = measure.features if type(measure.features) is np.ndarray else np.empty(0)
-        count = given.shape[1] if given.ndim == 2 else 1
-        shapes["features"] = (n, min(max(1, count), MAX_LIFTED - 5))
+    given = measure.features if type(measure.features) is np.ndarray else np.empty(0)
+    count = given.shape[1] if given.ndim == 2 else 1
+    shapes = {
+        "positions": (n, 2), "colors": (n, 3), "weights": (n,), "alpha": (n,), "warped": (n, 2),
+        "features": (n, min(max(1, count), MAX_LIFTED - 5)),
+    }  # fmt: skip
     for part, shape in shapes.items():
         array = getattr(measure, part)
+        if array is None and part in ("alpha", "warped", "features"):
+            continue
         usable = type(array) is np.ndarray and array.dtype == np.float64 and array.shape == shape
         low, high = (-1e6, 1e6) if part in FAR else (-1e-6, 1 + 1e-6)
         # Comparisons with NaN are false, so NaN does not pass this check.
         if usable and part != "weights":
             usable = bool(array.min() >= low and array.max() <= high)
         if not usable:
+            bounds = "" if part == "weights" else f", each from {low:g} to {high:g}"
             raise InputError(
-                f"{name} has {part} {shown(array)}: expected a float64 array of shape {shape}, "
-                f"each from {low:g} to {high:g}; {remedy}"
-                if part != "weights"
-                else f"{name} has weights {shown(array)}: expected a float64 array of shape "
-                f"{shape}; {remedy}"
+                f"{name} has {part} {shown(array)}: expected a float64 array of shape {shape}"
+                f"{bounds}; {remedy}"
             )
     check_masses(f"{name}: its weights", measure.weights)
     if measure.color_metric is not None:

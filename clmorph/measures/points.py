@@ -18,6 +18,8 @@ from clmorph.measures.measure import Measure, check_masses, check_measure
 
 #: Largest coordinate, in the unit of blur and reach.
 MAX_COORDINATE = 1e6
+#: What many measures are, in errors.
+_EXPECTED = "stacked arrays (weights (B, N), points (B, N, D)), or a list of measures"
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -224,9 +226,6 @@ def _weighted_points(name: str, weights: Any, points: Any, offsets: Any = None) 
                 f"and within +-{MAX_COORDINATE**2:g}"
             )
     return WeightedPoints(points, weights, offsets)
-
-
-_EXPECTED = "stacked arrays (weights (B, N), points (B, N, D)), or a list of measures"
 
 
 class Checked(list[WeightedPoints]):

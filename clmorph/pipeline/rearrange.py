@@ -32,12 +32,11 @@ from clmorph.pipeline.keywords import RearrangeKeywords
 from clmorph.pipeline.prepare import as_images
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recipe import recipe
-from clmorph.transport.assignment_search import solved
+from clmorph.transport.assignment_search import plan_search, solved
 from clmorph.transport.block_potentials import transport_pixels
 from clmorph.transport.matching import warn_unless_reached
 from clmorph.transport.pair_costs import Costs, Indices
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_search import plan_search
 from clmorph.transport.potentials import Potentials
 
 #: Length scale of the entropic plan from which the search begins, and its tolerance.

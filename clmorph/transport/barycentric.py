@@ -83,15 +83,10 @@ def check_barycentric(name: str, value: Any, sizes: tuple[int, int]) -> Barycent
             "Barycentric, as clmorph.barycentric_plan does"
         )
     n, m = sizes
-    parts = (
-        (value.positions, (n, 2)),
-        (value.colors, (n, 3)),
-        (value.row_mass, (n,)),
-        (value.column_mass, (m,)),
-    )
+    parts = value.positions, value.colors, value.row_mass, value.column_mass
     if not all(
         type(array) is np.ndarray and array.shape == shape and np.all(np.isfinite(array))
-        for array, shape in parts
+        for array, shape in zip(parts, ((n, 2), (n, 3), (n,), (m,)), strict=True)
     ):
         raise InputError(
             f"{name} is not of these measures: expected mean destinations of {n} pixels among "

@@ -16,11 +16,11 @@ import numpy as np
 from clmorph._shared.notebook import interval
 from clmorph._shared.typing import Progress
 from clmorph._shared.validation import check_flag, check_progress, shown
-from clmorph.backends.interface import Operations
 from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.transport._solver.annealing import ignore
 from clmorph.transport._solver.checks import check_problem, check_solver_options
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.certificate import SUM_ERROR
@@ -214,14 +214,20 @@ def sinkhorn_divergence(
     pair = as_pair(source, target)
     check_symmetric(*pair)
     if cross is not None:
-        _check_cross(cross, *pair, given)
+        check_potentials("cross", cross, (len(pair[0]), len(pair[1])))
+        if (cross.blur, cross.reach) != (given.blur, given.reach):
+            raise InputError(
+                f"cross: potentials at blur={cross.blur:g}, reach={cross.reach}; expected "
+                f"blur={given.blur:g}, reach={given.reach}: solve for these, or leave it out"
+            )
     operations = for_one_solve(get_backend(backend))
     check_problem(*pair, given, operations, precision, tol)
 
+    options = given, tol, max_iter, precision
     known = cross is not None
     parts: list[Potentials] = []
     for number, measure in enumerate(pair):
-        parts.append(self_transport_of(measure, given, tol, max_iter, operations, precision))
+        parts.append(solve(operations, (measure, measure), *options, ignore))
         warn_unless_converged(parts[-1].status, f"self-transport: {parts[-1].message}", 4)
         report(0.15 * (number + 1))
     if are_equal(*pair):
@@ -234,9 +240,8 @@ def sinkhorn_divergence(
     result = combined(cross, parts[0], parts[1], given)
     smaller = further_tol(result, tol)
     if smaller is not None and not known:
-        further = solve(
-            operations, pair, given, smaller, max_iter, precision, lambda share: None, exact=True
-        )
+        options = given, smaller, max_iter, precision
+        further = solve(operations, pair, *options, ignore, exact=True)
         cross = replace(better(cross, further, tol), measures=pair)
         result = combined(cross, parts[0], parts[1], given)
     if gradient:
@@ -315,28 +320,3 @@ def better(before: Potentials, after: Potentials, tol: float) -> Potentials:
         return after
     message = f"converged in {after.n_iter} iterations (residual {after.residual:.1e} epsilon)"
     return replace(after, status="converged", message=message)
-
-
-def _check_cross(
-    cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Regularization
-) -> None:
-    """Raise an error if potentials belong to another problem."""
-    check_potentials("cross", cross, (len(source), len(target)))
-    if (cross.blur, cross.reach) != (given.blur, given.reach):
-        raise InputError(
-            f"cross: potentials at blur={cross.blur:g}, reach={cross.reach}; expected "
-            f"blur={given.blur:g}, reach={given.reach}: solve for these, or leave it out"
-        )
-
-
-def self_transport_of(
-    measure: AnyMeasure,
-    given: Regularization,
-    tol: float,
-    max_iter: int,
-    operations: Operations,
-    precision: str = "auto",
-) -> Potentials:
-    """Solve the problem of a measure with itself, without a warning."""
-    options = given, tol, max_iter, precision, lambda share: None
-    return solve(operations, (measure, measure), *options)

@@ -17,9 +17,8 @@ from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.points import as_measure
-from clmorph.transport.assignment_search import FEW_PAIRS, Solution, solved
+from clmorph.transport.assignment_search import FEW_PAIRS, Solution, plan_search, solved
 from clmorph.transport.pair_costs import Costs, Indices
-from clmorph.transport.plan_search import plan_search
 from clmorph.transport.regularization import regularization
 from clmorph.transport.sinkhorn import solve
 

@@ -321,17 +321,14 @@ def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
             "measures"
         )
     n, m = sizes
-    kinds = (
-        (value.indptr, "i"),
-        (value.indices, "i"),
-        (value.mass, "f"),
-        (value.whole_row_mass, "f"),
-        (value.whole_column_mass, "f"),
+    arrays = value.indptr, value.indices, value.mass, *value.marginals
+    usable = all(
+        type(array) is np.ndarray and array.dtype.kind == kind
+        for array, kind in zip(arrays, "iifff", strict=True)
     )
-    usable = all(type(array) is np.ndarray and array.dtype.kind == kind for array, kind in kinds)
     if usable:
         kept = len(value.mass)
-        shapes = [array.shape for array, _ in kinds]
+        shapes = [array.shape for array in arrays]
         usable = shapes == [(n + 1,), (kept,), (kept,), (n,), (m,)]
         usable = usable and value.indptr[0] == 0 and value.indptr[-1] == kept
         usable = usable and bool(np.all(np.diff(value.indptr) >= 0))

@@ -339,12 +339,10 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
         raise InputError(
             f"{name}={shown(value)}: expected Potentials, as clmorph.sinkhorn returns them"
         )
+    expected = "expected Potentials as clmorph.sinkhorn returns them"
     arrays = value.f, value.g
     if not all(type(array) is np.ndarray and array.dtype == np.float64 for array in arrays):
-        raise InputError(
-            f"{name}: f and g are not float64 arrays; expected Potentials as clmorph.sinkhorn "
-            "returns them"
-        )
+        raise InputError(f"{name}: f and g are not float64 arrays; {expected}")
     shapes = value.f.shape, value.g.shape
     if shapes != ((sizes[0],), (sizes[1],)):
         points = " and ".join(str(shape[0] if len(shape) == 1 else shape) for shape in shapes)
@@ -353,10 +351,7 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
             "them for these measures"
         )
     if not (np.all(np.isfinite(value.f)) and np.all(np.isfinite(value.g))):
-        raise InputError(
-            f"{name}: f or g holds NaN or infinity; expected Potentials as clmorph.sinkhorn "
-            "returns them"
-        )
+        raise InputError(f"{name}: f or g holds NaN or infinity; {expected}")
     LENGTH.check("blur", value.blur)
     lengths = value.reach if isinstance(value.reach, tuple) else (value.reach,)
     numbers = [value.residual, value.truncation_error, value.visited, value.n_iter]
@@ -368,21 +363,15 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     usable = usable and isinstance(value.residuals, np.ndarray) and value.residuals.dtype == float
     usable = usable and isinstance(value.passes, LastPasses | None)
     if not usable or np.isnan(value.residuals).any():
-        raise InputError(
-            f"{name}: parts of it are not what they should be; expected Potentials as "
-            "clmorph.sinkhorn returns them"
-        )
+        raise InputError(f"{name}: parts of it are not what they should be; {expected}")
     regularization(value.blur, value.reach)
     check_flag(f"{name}: precise", value.precise)
-    certificate = value.certificate
-    if not isinstance(certificate, Certificate) or shapes != (
-        np.shape(certificate.row_mass),
-        np.shape(certificate.column_mass),
+    of = value.certificate
+    if not isinstance(of, Certificate) or shapes != (
+        np.shape(of.row_mass),
+        np.shape(of.column_mass),
     ):
-        raise InputError(
-            f"{name}: the certificate is not of these potentials; expected Potentials as "
-            "clmorph.sinkhorn returns them"
-        )
+        raise InputError(f"{name}: the certificate is not of these potentials; {expected}")
     return value
 
 

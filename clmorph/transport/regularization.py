@@ -52,18 +52,10 @@ def regularization(
         if len(getattr(value, "shape", ())) > 1 or (value is blur and _has_axes(blur)):
             raise InputError(OTHER_ORDER)
     if epsilon is not None:
-        if blur is not None:
-            raise InputError(
-                f"blur={shown(blur)} and epsilon={shown(epsilon)} are two names of one strength "
-                "(epsilon = blur^2): give one of them"
-            )
+        _check_alone("blur", blur, "epsilon", epsilon)
         blur = _root("epsilon", epsilon, _check_blur)
     if rho is not None:
-        if reach is not None:
-            raise InputError(
-                f"reach={shown(reach)} and rho={shown(rho)} are two names of one strength "
-                "(rho = reach^2): give one of them"
-            )
+        _check_alone("reach", reach, "rho", rho)
         reach = _each("rho", rho, lambda value: _root("rho", value, _check_reach))
     blur = _check_blur(SolverOptions.blur if blur is None else blur)
     lengths = _each("reach", reach, _check_reach)
@@ -71,6 +63,15 @@ def regularization(
     return Regularization(
         blur, lengths[0] if lengths[0] == lengths[1] else lengths, blur**2, (rhos[0], rhos[1])
     )
+
+
+def _check_alone(length: str, value: Any, square: str, given: Any) -> None:
+    """Refuse a length beside its square."""
+    if value is not None:
+        raise InputError(
+            f"{length}={shown(value)} and {square}={shown(given)} are two names of one strength "
+            f"({square} = {length}^2): give one of them"
+        )
 
 
 def _has_axes(value: Any) -> bool:

@@ -295,9 +295,7 @@ def joined(parts: Sequence[Subproblem], plans: Sequence[Plan | Barycentric]) -> 
 
 
 def _sums(plans: Sequence[Plan] | Sequence[Barycentric]) -> list[Array]:
-    return [
-        np.sum([plan.marginals[side] for plan in plans], axis=0) for side in (0, 1)
-    ]  # fmt: skip
+    return [np.sum([plan.marginals[side] for plan in plans], axis=0) for side in (0, 1)]
 
 
 def _joined_means(parts: Sequence[Subproblem], plans: Sequence[Barycentric]) -> Barycentric:

@@ -10,7 +10,6 @@ from scipy.spatial.distance import cdist
 import clmorph
 import clmorph.transport.assignment_search as search
 import clmorph.transport.pair_costs as pair_costs
-import clmorph.transport.plan_search as plan_search
 from clmorph.errors import ConvergenceWarning, InputError
 
 
@@ -100,7 +99,7 @@ def test_a_gap_above_one_is_proven(n, gap):
 @pytest.mark.parametrize("kind", ["random", "weights", "ties", "same"])
 def test_many_pairs_are_searched_on_the_device(device, monkeypatch, kind):
     """Drawn candidates, and bounds of sums over all pairs, prove what trees prove."""
-    monkeypatch.setattr(plan_search, "MANY_PAIRS", 1)
+    monkeypatch.setattr(search, "MANY_PAIRS", 1)
     rng = np.random.default_rng(6)
     x, y = rng.random((400, 3)), rng.random((400, 3)) ** 2
     weights = rng.random(400) + 0.1 if kind == "weights" else None
@@ -117,7 +116,7 @@ def test_many_pairs_are_searched_on_the_device(device, monkeypatch, kind):
 def test_a_fast_card_searches_without_near_pairs(device, monkeypatch, rate):
     """By its recorded rate it sums over all of some pairs sooner than it chooses near ones."""
     asked, near_pairs = [], device.near_pairs
-    monkeypatch.setattr(plan_search, "MANY_PAIRS", 300**2)
+    monkeypatch.setattr(search, "MANY_PAIRS", 300**2)
     monkeypatch.setattr("clmorph.transport._solver.softmin.MANY_PAIRS", 300**2)
     monkeypatch.setattr(device, "near_pairs", lambda *a: asked.append(1) or near_pairs(*a))
     monkeypatch.setattr(device, "on_processor", False)

@@ -170,14 +170,8 @@ def prepared(measures: Any, weights: Any, support: Any, call: Call) -> Barycente
     used, parts = [whole[k] for k in shown_ones], [float(shares[k]) for k in shown_ones]
     mass = float(np.dot(parts, [each.weights.sum() for each in used]))
     if call.fixed:
-        if are_grids(*used) and (support is None or isinstance(support, Grid)):
-            return BarycenterProblem(used, parts, _fixed_grid(support, used[0], mass))
-        points = _fixed_points(support, used[0])
-        even = np.full(len(points), mass / len(points))
-        return BarycenterProblem(used, parts, WeightedPoints(points, even))
-    balanced = bool(np.isinf(call.given.rho[0]))
-    start = _free_start(support, used, parts, mass, balanced, call.seed)
-    return BarycenterProblem(used, parts, start)
+        return BarycenterProblem(used, parts, _fixed_start(support, used, mass))
+    return BarycenterProblem(used, parts, _free_start(support, used, parts, mass, call))
 
 
 def _checked(measures: Any) -> list[AnyMeasure]:
@@ -210,15 +204,15 @@ def _shares(weights: Any, count: int) -> Array:
 
 
 def _free_start(
-    support: Any, measures: list[AnyMeasure], shares: list[float], mass: float, balanced: bool,
-    seed: int,
-) -> WeightedPoints:  # fmt: skip
+    support: Any, measures: list[AnyMeasure], shares: list[float], mass: float, call: Call
+) -> WeightedPoints:
     """Return the points with which the iteration begins."""
     if support is None or isinstance(support, int | np.integer):
         count = max(map(len, measures))
         if support is not None:
             count = check_integer("support", support, 1, 1 << 24)
-        points = (_means if balanced else _drawn)(measures, shares, count, seed)
+        chosen = _means if np.isinf(call.given.rho[0]) else _drawn
+        points = chosen(measures, shares, count, call.seed)
         return WeightedPoints(points, np.full(count, mass / count))
     found = _as_points(support, mass)
     _check_dimension(found, measures[0])
@@ -249,24 +243,21 @@ def _chosen(weights: Array, count: int, rng: np.random.Generator) -> IntArray:
     return np.minimum(np.searchsorted(sums, wanted, side="right"), np.flatnonzero(weights)[-1])
 
 
-def _fixed_grid(support: Any, measure: Any, mass: float) -> Grid:
-    """Return the grid of a fixed support, that of a measure by default, with even masses."""
-    grid = as_measure("support", measure if support is None else support)
-    assert isinstance(grid, Grid)
-    _check_dimension(grid, measure)
-    inside = np.ones(grid.shape) if grid.mask is None else grid.mask.astype(float)
-    return grid.with_masses(inside * (mass / inside.sum()))
-
-
-def _fixed_points(support: Any, measure: AnyMeasure) -> Array:
-    """Return the points of a fixed support."""
+def _fixed_start(support: Any, measures: list[AnyMeasure], mass: float) -> WeightedPoints | Grid:
+    """Return a fixed support with even masses; of grids that of the first one by default."""
+    if are_grids(*measures) and (support is None or isinstance(support, Grid)):
+        grid = as_measure("support", measures[0] if support is None else support)
+        assert isinstance(grid, Grid)
+        _check_dimension(grid, measures[0])
+        inside = np.ones(grid.shape) if grid.mask is None else grid.mask.astype(float)
+        return grid.with_masses(inside * (mass / inside.sum()))
     if support is None or isinstance(support, int | np.integer):
         raise InputError(
             f"support={shown(support)}: a fixed support needs its points, such as those of a grid"
         )
     found = _as_points(support, 1.0)
-    _check_dimension(found, measure)
-    return found.points
+    _check_dimension(found, measures[0])
+    return WeightedPoints(found.points, np.full(len(found), mass / len(found)))
 
 
 def _as_points(support: Any, mass: float) -> WeightedPoints:

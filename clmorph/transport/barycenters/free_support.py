@@ -27,10 +27,10 @@ import numpy as np
 from clmorph._shared.typing import Progress
 from clmorph.backends.interface import Operations
 from clmorph.measures.points import WeightedPoints
+from clmorph.transport._solver.annealing import ignore
 from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport._solver.problem import uploaded
 from clmorph.transport.barycenters.result import Barycenter, BarycenterProblem, Call, check_mass
-from clmorph.transport.divergence import self_transport_of
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.sinkhorn import solve
 
@@ -52,7 +52,7 @@ def free_support(
     given, tol, max_iter, debias = call.given, call.tol, call.max_iter, call.debias
     epsilon, rho = given.epsilon, given.rho[0]
     balanced = bool(np.isinf(rho))
-    inner = min(INNER_TOL, INNER_SHARE * tol)
+    options = given, min(INNER_TOL, INNER_SHARE * tol), INNER_ITERATIONS, "auto", ignore
     points, weights = start.points.copy(), start.weights.copy()
     found: list[Potentials | None] = [None] * len(measures)
     clouds = [uploaded(operations, measure) for measure in measures]
@@ -65,16 +65,14 @@ def free_support(
         ratio, pull = np.zeros(len(points)), np.zeros_like(points)
         for k, (measure, share) in enumerate(zip(measures, shares, strict=True)):
             before, both = found[k], (cloud, clouds[k])
-            solved = solve(
-                operations, (here, measure), given, inner, INNER_ITERATIONS, "auto",
-                lambda share: None, clouds=both, g=None if before is None else before.g,
-            )  # fmt: skip
+            g = None if before is None else before.g
+            solved = solve(operations, (here, measure), *options, clouds=both, g=g)
             found[k], inexact = solved, max(inexact, solved.residual)
             going = RowsOfPlan(operations, (here, measure), solved, both).sent()
             ratio += share * going.ratio
             pull += (share * going.ratio)[:, None] * (going.mean - points)
         if debias:
-            own = self_transport_of(here, given, inner, INNER_ITERATIONS, operations)
+            own = solve(operations, (here, here), *options)
             inexact = max(inexact, own.residual)
             within = RowsOfPlan(operations, (here, here), own, (cloud, cloud)).sent()
             pull -= within.ratio[:, None] * (within.mean - points)
