@@ -5,7 +5,7 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -277,40 +277,37 @@ rearrange_options = _together(
 
 recolor_options = _of(RecolorOptions, usual=RecolorOptions)
 
-_recipe_option = _option(
-    "File", "--recipe/--no-recipe", is_flag=True, default=None,
-    help="Write OUTPUT.json beside the file; --config repeats the run from it.",
-)  # fmt: skip
 
-file_options = _together(
-    _option(
-        "File", "-o", "--output", type=OutputName(),
-        multiple=True,
-        help="Name of an output; its ending chooses the format: .gif .webp .apng .mp4 .webm .html, "
-        ".png (contact sheet), .npz (NumPy), .tif; a name without an ending is a folder of PNG "
-        "frames, and - with --format is standard output. Can be repeated.",
-    ),
-    _option(
-        "File", "--format", type=click.Choice(list(FORMATS)),
-        help="Format of the output, where its ending does not choose it.",
-    ),
+def _outputs(
+    help: str, formats: Iterable[str], *style: Callable[[Any], Any]
+) -> Callable[[Any], Any]:
+    """Return the decorator for the options of output files."""
+    return _together(
+        _option("File", "-o", "--output", type=OutputName(), multiple=True, help=help),
+        _option(
+            "File", "--format", type=click.Choice(list(formats)),
+            help="Format of the output, where its ending does not choose it.",
+        ),
+        *style,
+        _option(
+            "File", "--recipe/--no-recipe", is_flag=True, default=None,
+            help="Write OUTPUT.json beside the file; --config repeats the run from it.",
+        ),
+    )  # fmt: skip
+
+
+file_options = _outputs(
+    "Name of an output; its ending chooses the format: .gif .webp .apng .mp4 .webm .html, "
+    ".png (contact sheet), .npz (NumPy), .tif; a name without an ending is a folder of PNG "
+    "frames, and - with --format is standard output. Can be repeated.",
+    FORMATS,
     _of(FrameStyle),
-    _recipe_option,
-)  # fmt: skip
-
-picture_options = _together(
-    _option(
-        "File", "-o", "--output", type=OutputName(), multiple=True,
-        help=f"Name of an output: {', '.join(ENCODERS)} (TIFF: 16 bits), .mp4 or .webm for clips; "
-        "- with --format is standard output. Can be repeated.",
-    ),
-    _option(
-        "File", "--format",
-        type=click.Choice([*(ending[1:] for ending in ENCODERS), *CONTAINERS]),
-        help="Format of the output, where its ending does not choose it.",
-    ),
-    _recipe_option,
-)  # fmt: skip
+)
+picture_options = _outputs(
+    f"Name of an output: {', '.join(ENCODERS)} (TIFF: 16 bits), .mp4 or .webm for clips; "
+    "- with --format is standard output. Can be repeated.",
+    [*(ending[1:] for ending in ENCODERS), *CONTAINERS],
+)
 
 preset_option = _option(
     "Settings", "--preset", type=click.Choice([AUTO, *PRESETS]),
