@@ -272,58 +272,43 @@ def write_numbers(axes: Any, found: Report) -> None:
     """Write the main numbers in a column."""
     axes.set_axis_off()
     moved, potentials, memory = found.displacement, found.potentials, found.memory
-    groups: list[tuple[str, list[tuple[str, str]]]] = [
-        (
-            "Mass",
-            [
-                ("transported", percent(found.transported)),
-                ("destroyed", percent(found.destroyed)),
-                ("created", percent(found.created)),
-            ],
-        ),
-        (
-            "Displacement, pixels",
-            [
-                ("mean by mass", f"{moved.mass_weighted_mean:.4g}"),
-                ("mean of pixels", f"{moved.mean:.4g}"),
-                ("largest", f"{moved.max:.4g}"),
-            ],
-        ),
-        ("Divergence", _divergence_rows(found)),
-        (
-            "Solver",
-            [
-                ("ended", potentials.status.replace("_", " ")),
-                ("iterations", f"{potentials.n_iter}"),
-                ("residual", f"{potentials.residual:.1e} ε"),
-                ("optimal value", f"{potentials.dual:.5g}"),
-                ("gap", f"{potentials.gap:.2g}")
-                if potentials.reach is not None
-                else ("marginals off by", f"{potentials.marginal_error:.2g}"),
-            ],
-        ),
-        (
-            "A morph by it",
-            [
-                ("pairs", f"{found.pairs:,}".replace(",", "\u202f")),
-                ("their size", size_text(found.pair_bytes)),
-                ("particles' size", size_text(found.particle_bytes)),
-                ("memory" if memory.shared else "memory, host", size_text(memory.ram)),
-                *([] if memory.shared else [("memory, device", size_text(memory.device))]),
-            ],
-        ),
-        (
-            "Time",
-            [
-                ("transport", time_text(found.seconds.transport)),
-                ("plan", ("" if found.plan else "about ") + time_text(found.seconds.plan)),
-                (f"{found.n_frames} frames", "about " + time_text(found.seconds.frames)),
-            ],
-        ),
-    ]
-    lines = sum(len(rows) + 1.9 for _, rows in groups)
+    groups: dict[str, list[tuple[str, str]]] = {
+        "Mass": [
+            ("transported", percent(found.transported)),
+            ("destroyed", percent(found.destroyed)),
+            ("created", percent(found.created)),
+        ],
+        "Displacement, pixels": [
+            ("mean by mass", f"{moved.mass_weighted_mean:.4g}"),
+            ("mean of pixels", f"{moved.mean:.4g}"),
+            ("largest", f"{moved.max:.4g}"),
+        ],
+        "Divergence": _divergence_rows(found),
+        "Solver": [
+            ("ended", potentials.status.replace("_", " ")),
+            ("iterations", f"{potentials.n_iter}"),
+            ("residual", f"{potentials.residual:.1e} ε"),
+            ("optimal value", f"{potentials.dual:.5g}"),
+            ("gap", f"{potentials.gap:.2g}")
+            if potentials.reach is not None
+            else ("marginals off by", f"{potentials.marginal_error:.2g}"),
+        ],
+        "A morph by it": [
+            ("pairs", f"{found.pairs:,}".replace(",", "\u202f")),
+            ("their size", size_text(found.pair_bytes)),
+            ("particles' size", size_text(found.particle_bytes)),
+            ("memory" if memory.shared else "memory, host", size_text(memory.ram)),
+            *([] if memory.shared else [("memory, device", size_text(memory.device))]),
+        ],
+        "Time": [
+            ("transport", time_text(found.seconds.transport)),
+            ("plan", ("" if found.plan else "about ") + time_text(found.seconds.plan)),
+            (f"{found.n_frames} frames", "about " + time_text(found.seconds.frames)),
+        ],
+    }
+    lines = sum(len(rows) + 1.9 for rows in groups.values())
     step, y = 1.0 / lines, 1.0
-    for title, rows in groups:
+    for title, rows in groups.items():
         axes.text(0.06, y, title, weight="bold", color=INK, va="top", fontsize=9.5)
         y -= 0.35 * step
         axes.plot([0.06, 1], [y - 0.62 * step] * 2, color="#cccccc", linewidth=0.8, clip_on=False)

@@ -21,18 +21,6 @@ from clmorph.backends.arrays import as_array, as_floats
 from clmorph.errors import InputError
 from clmorph.images.pixels import as_pixels, split_alpha
 
-__all__ = [
-    "FilmMeasures",
-    "crossfade_share",
-    "film_measures",
-    "flicker",
-    "ghost",
-    "low_band_distance",
-    "relative_crumbs",
-    "relative_sharpness",
-    "unevenness",
-]
-
 #: The longer side of the pictures that are compared, in pixels.
 SIDE = 128
 #: Side of the windows that are explained, the distance from one to the next, and how far from a

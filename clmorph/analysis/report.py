@@ -131,7 +131,10 @@ class Report:
         """
         found, moved, plan = self.potentials, self.displacement, self.plan
         reach = found.reach if isinstance(found.reach, tuple) else (found.reach, found.reach)
-        divergence = self.divergence
+        bounds = None
+        if self.divergence is not None:
+            low, high = self.divergence.interval
+            bounds = {"value": self.divergence.value, "low": low, "high": high}
         result: dict[str, Any] = {
             "device": self.device,
             "source": _measure_summary(self.source),
@@ -140,37 +143,16 @@ class Report:
             "options": {
                 "blur": found.blur,
                 "reach": list(reach),
-                "color_weight": self.source.color_weight,
-                "color_space": self.source.color_space,
-                "extent": self.source.extent,
+                **_named(self.source, "color_weight", "color_space", "extent"),
             },
             "solver": {
-                "status": found.status,
-                "message": found.message,
+                **_named(found, "status", "message"),
                 "iterations": found.n_iter,
-                "residual": found.residual,
-                "primal": found.primal,
-                "dual": found.dual,
-                "gap": found.gap,
-                "marginal_error": found.marginal_error,
+                **_named(found, "residual", "primal", "dual", "gap", "marginal_error"),
             },
-            "mass": {
-                "transported": self.transported,
-                "destroyed": self.destroyed,
-                "created": self.created,
-            },
-            "displacement_pixels": {
-                "max": moved.max,
-                "mean": moved.mean,
-                "mass_weighted_mean": moved.mass_weighted_mean,
-            },
-            "divergence": None
-            if divergence is None
-            else {
-                "value": divergence.value,
-                "low": divergence.interval[0],
-                "high": divergence.interval[1],
-            },
+            "mass": _named(self, "transported", "destroyed", "created"),
+            "displacement_pixels": _named(moved, "max", "mean", "mass_weighted_mean"),
+            "divergence": bounds,
             "no_divergence": self.no_divergence or None,
             "landmarks": {
                 "pairs": [[list(point) for point in pair] for pair in self.marks.pairs],
@@ -184,11 +166,7 @@ class Report:
                 "dropped_mass": None if plan is None else plan.dropped_mass,
             },
             "particles": {"count": self.particles, "bytes": self.particle_bytes},
-            "memory_bytes": {
-                "host": self.memory.host,
-                "device": self.memory.device,
-                "shared": self.memory.shared,
-            },
+            "memory_bytes": _named(self.memory, "host", "device", "shared"),
             "seconds": {
                 "transport": self.seconds.transport,
                 "plan": self.seconds.plan,
@@ -274,6 +252,11 @@ class Report:
             ),
             ("device", self.device),
         ]
+
+
+def _named(of: Any, *names: str) -> dict[str, Any]:
+    """Return some attributes by their names."""
+    return {name: getattr(of, name) for name in names}
 
 
 def _measure_summary(measure: Measure) -> dict[str, Any]:

@@ -1,9 +1,7 @@
 """Estimate the time of frames, and of a plan that was not built, from measurements on a sample."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
@@ -82,8 +80,9 @@ def fill_seconds(
     none = np.full(len(g), np.inf)
     plan, precise = PlanTerms(rows, columns, f, g, epsilon, thresholds, none), potentials.precise
     counts = operations.count_plan_rows(plan, precise)
-    seconds = _seconds(lambda: operations.plan_rows(plan, precise, counts))
-    return seconds * pairs / max(1, int(counts.sum()))
+    began = perf_counter()
+    operations.plan_rows(plan, precise, counts)
+    return (perf_counter() - began) * pairs / max(1, int(counts.sum()))
 
 
 def _growth(small: float, large: float, more: float, times: float) -> float:
@@ -102,7 +101,6 @@ def _time(
     """Return the seconds of one frame, and those of the preparation before the first frame."""
     start, end = (auto_sigma(picture_of(measure)) for measure in (source, target))
     width = KernelWidth(start, end, 0.0, 1.0, 1.0, RenderOptions.splatting)
-    made: list[FrameRenderer] = []
 
     def renderer(detail: str) -> FrameRenderer:
         moving = particles(source, target, plan, path_space=RenderOptions.path_space)
@@ -112,18 +110,20 @@ def _time(
             RenderOptions.unmatched, detail,
         )  # fmt: skip
 
-    def prepare() -> None:
-        made.append(renderer(detail))
-        made[0].prepare()
-
     # Kernels are built first.
     renderer("particles").sums(0.5)
     if any(measure.alpha is not None for measure in (source, target)):
         renderer("particles").frame(0.5)
-    once = _seconds(prepare)
+    began = perf_counter()
+    made = renderer(detail)
+    made.prepare()
+    once = perf_counter() - began
     drawn = np.zeros(len(TIMES))
     for _ in range(PASSES):
-        drawn += [_seconds(lambda t=t: made[0].frame(t)) / PASSES for t in TIMES]  # type: ignore[misc]
+        for number, t in enumerate(TIMES):
+            began = perf_counter()
+            made.frame(t)
+            drawn[number] += (perf_counter() - began) / PASSES
     return float(drawn @ SHARES), once
 
 
@@ -142,10 +142,3 @@ def _thinned(plan: Plan, count: int) -> Plan:
         plan.shape,
         *plan.marginals,
     )
-
-
-def _seconds(work: Callable[[], Any]) -> float:
-    """Return the seconds that a call takes."""
-    began = perf_counter()
-    work()
-    return perf_counter() - began

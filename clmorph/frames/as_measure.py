@@ -43,7 +43,9 @@ def frame_measure(
     if weights == "kernel":
         masses = np.maximum(sums.density.ravel(), 0.0)
         masses = masses * (morph.particles.mass(t) / masses.sum())
-    return WeightedPoints(_lifted(morph, _frame_positions(canvas), colors.reshape(n, 3)), masses)
+    return WeightedPoints(
+        _lifted(morph, canvas.positions().reshape(n, 2), colors.reshape(n, 3)), masses
+    )
 
 
 def particle_measure(
@@ -91,13 +93,6 @@ def _check_sums(sums: Sums, canvas: Canvas) -> None:
             f"sums={shown(sums)}: expected what morph.sums returns for the same t, of a frame of "
             f"shape {canvas.shape}"
         )
-
-
-def _frame_positions(canvas: Canvas) -> Array:
-    """Return the positions of the pixels of a canvas in the common frame."""
-    y, x = np.mgrid[: canvas.shape[0], : canvas.shape[1]].reshape(2, -1)
-    pixels = np.column_stack((x, y)) - np.asarray(canvas.center)
-    return 0.5 + pixels / np.maximum(canvas.scale, 1e-9)
 
 
 def _lifted(morph: FrameSequence, positions: Array, colors: Array) -> Array:

@@ -205,13 +205,8 @@ def _spread(values: Array, weights: Array) -> Array:
     filled = known
     while width < max(weights.shape):
         total = gaussian_filter(filled, width, mode="constant")
-        means = np.stack(
-            [
-                gaussian_filter(found[..., channel] * filled, width, mode="constant")
-                for channel in range(values.shape[2])
-            ],
-            axis=-1,
-        ) / np.maximum(total, 1e-9)[..., None]  # fmt: skip
+        means = gaussian_filter(found * filled[..., None], (width, width, 0), mode="constant")
+        means /= np.maximum(total, 1e-9)[..., None]
         reached = np.clip(total / 0.02, 0.0, 1.0) * (1 - filled)
         found = found + reached[..., None] * (means - found)
         filled = filled + reached

@@ -65,9 +65,7 @@ class KernelWidth:
         path = (1 - t) * self.sigma_start + t * self.sigma_end
         if self.splatting == "local":
             return path
-        if self.splatting == "adaptive":
-            return max(self.floor(t, canvas), path + 4 * self.gamma * t * (1 - t))
-        raise AssertionError(self.splatting)  # this value of `splatting` has no rule above
+        return max(self.floor(t, canvas), path + 4 * self.gamma * t * (1 - t))
 
     def widths(self, t: float, canvas: Canvas) -> Widths:
         """Widths at time t, as `clmorph.frames.render.render` takes them."""

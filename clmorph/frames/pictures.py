@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -138,15 +138,9 @@ def _continued(distance: Float32, canvas: Canvas) -> Float32:
 
 def stage_of(canvases: Sequence[Canvas]) -> Canvas:
     """Return a grid over everything that some canvases show."""
-    extents = np.array(
-        [
-            [
-                side / scale if scale > 0 else 1.0
-                for side, scale in zip(c.shape, c.scale[::-1], strict=True)
-            ]
-            for c in canvases
-        ]
-    ).max(axis=0)
+    shapes = np.array([canvas.shape for canvas in canvases], float)
+    scales = np.array([canvas.scale[::-1] for canvas in canvases], float)
+    extents = np.divide(shapes, scales, out=np.ones_like(shapes), where=scales > 0).max(axis=0)
     longest = max(max(canvas.shape) for canvas in canvases)
     per_unit = min(POINTS, longest) / float(extents.max())
     height, width = (max(1, round(extent * per_unit)) for extent in extents)
@@ -156,26 +150,6 @@ def stage_of(canvases: Sequence[Canvas]) -> Canvas:
 def lightness_of(space: str) -> Array:
     """Return the weights of a color's coordinates in its lightness."""
     return np.array([0.3, 0.59, 0.11] if space in ("srgb", "linear") else [1.0, 0.0, 0.0])
-
-
-def view(
-    layer: Layer,
-    channels: Channels,
-    way: float,
-    canvas: Canvas,
-    stage: Canvas,
-    weights: Float32,
-    shares: Float32,
-) -> LayerView:
-    """Return how a layer is drawn on a canvas; see `LayerView`."""
-    to_field = affine(canvas, layer.field.canvas)
-    step = max(abs(each) for each in affine(canvas, channels.canvas).step)
-    halvings = int(max(0.0, np.ceil(np.log2(max(step, 1e-9) / CLOSE))))
-    picture, small = channels.level(halvings)
-    return LayerView(
-        picture, layer.handle, way, affine(canvas, stage), to_field,
-        affine(layer.field.canvas, small), weights, shares,
-    )  # fmt: skip
 
 
 class Pictures:
@@ -280,23 +254,13 @@ class Pictures:
         all pictures agree there, and how far figures are but thin lines halfway, from 0 to 1.
         """
         even = [np.full(self.stage.shape, share) for share in shares]
-
-        def drawn(
-            name: str,
-            seen: Sequence[Array],
-            on: Canvas,
-            low: Array | None = None,
-            fourth: Sequence[Array] = even,
-            rows: slice | None = None,
-        ) -> Float32:
-            return self._drawn(name, layers, ways, seen, fourth, on, low, rows)
-
+        drawn = partial(self._drawn, layers, ways)
         if self.figures is None:
             coarse = canvas.reduced(LOW_PIXELS)
-            apart = drawn("own", [e - w for e, w in zip(even, weights, strict=True)], coarse)
+            apart = drawn("own", [e - w for e, w in zip(even, weights, strict=True)], even, coarse)
             low = MEAN_SHARE * blurred(apart.astype(float), LOW * max(coarse.shape))
             low[..., 3] = 0.0
-            return self._shown(drawn("own", weights, canvas, low)[..., :3])
+            return self._shown(drawn("own", weights, even, canvas, low)[..., :3])
         distances = self._distances(layers, ways)
         covered = _where_covered(distances, shares, weights)
         now, fine = thinness(distances)
@@ -307,7 +271,7 @@ class Pictures:
         def distance_on(on: Canvas) -> Float32:
             found = np.empty(on.shape, np.float32)
             for rows in _bands(on):
-                found[rows] = drawn("figure", covered, on, fourth=lines, rows=rows)[..., 3]
+                found[rows] = drawn("figure", covered, lines, on, rows=rows)[..., 3]
             return found
 
         outline = outline_of(
@@ -340,9 +304,11 @@ class Pictures:
         lies_inside, ground = outline.on(canvas), self._ground(shares)
         frame = np.empty((*canvas.shape, 4 if self.clear else 3), np.float32)
         for rows in _bands(canvas):
-            figure = self._drawn("figure", led, ways, within, none, canvas, rows=rows)
-            own = drawn("own", there, canvas, fourth=there, rows=rows) if seen.any() else None
-            opacity = drawn("alpha", weights, canvas, rows=rows)[..., 3] if translucent else None
+            figure = self._drawn(led, ways, "figure", within, none, canvas, rows=rows)
+            own = drawn("own", there, there, canvas, rows=rows) if seen.any() else None
+            opacity = (
+                drawn("alpha", weights, even, canvas, rows=rows)[..., 3] if translucent else None
+            )
             self._put_together(frame, rows, figure, lies_inside, opacity, ground, own, on_canvas)
         return frame
 
@@ -402,7 +368,7 @@ class Pictures:
         for number in range(len(layers)):
             alone = [one if other == number else zero for other in range(len(layers))]
             none = [zero] * len(layers)
-            drawn = self._drawn("figure", layers, ways, none, alone, self.stage)
+            drawn = self._drawn(layers, ways, "figure", none, alone, self.stage)
             found.append(drawn[..., 3].astype(float) * self._per_unit)
         return found
 
@@ -412,9 +378,9 @@ class Pictures:
 
     def _drawn(
         self,
-        name: str,
         layers: Sequence[Layer],
         ways: Sequence[float],
+        name: str,
         weights: Sequence[Array],
         fourth: Sequence[Array],
         canvas: Canvas,
@@ -425,28 +391,29 @@ class Pictures:
 
         Where both weights of a layer are 0 it is not sampled.
         """
-        views = [
-            view(
-                layer, picture, way, canvas, self.stage,
-                weight.astype(np.float32), share.astype(np.float32),
-            )
-            for layer, picture, way, weight, share in zip(
-                layers, self._channels[name], ways, weights, fourth, strict=True
-            )
-        ]  # fmt: skip
+        views = []
+        for layer, channels, way, weight, share in zip(
+            layers, self._channels[name], ways, weights, fourth, strict=True
+        ):
+            step = max(abs(each) for each in affine(canvas, channels.canvas).step)
+            halvings = int(max(0.0, np.ceil(np.log2(max(step, 1e-9) / CLOSE))))
+            picture, small = channels.level(halvings)
+            field = layer.field.canvas
+            views.append(LayerView(
+                picture, layer.handle, way, affine(canvas, self.stage), affine(canvas, field),
+                affine(field, small), weight.astype(np.float32), share.astype(np.float32),
+            ))  # fmt: skip
         if len(views) % 2:
             none = np.zeros_like(views[-1].weights)
             views.append(views[-1]._replace(weights=none, shares=none))
-        lows = [np.zeros((1, 1, 4)) if low is None else low] + [np.zeros((1, 1, 4))] * len(views)
-        return reduce(
-            np.add,
-            (
-                self._operations.draw_layers(
-                    views[first : first + 2], lows[first].astype(np.float32), canvas.shape, rows
-                )
-                for first in range(0, len(views), 2)
-            ),
+        nothing = np.zeros((1, 1, 4), np.float32)
+        band = nothing if low is None else low.astype(np.float32)
+        draw = self._operations.draw_layers
+        drawn = (
+            draw(views[first : first + 2], nothing if first else band, canvas.shape, rows)
+            for first in range(0, len(views), 2)
         )
+        return reduce(np.add, drawn)
 
     def _ground(self, shares: Sequence[float]) -> tuple[Array, float]:
         """Return color, in the space of the path, and opacity of the ground of a frame."""

@@ -7,7 +7,7 @@ Portable Network Graphics (PNG) Specification, Third Edition, W3C 2025, section 
 
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -34,48 +34,37 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     """Write an animated PNG."""
     framing = recording.framing(style, SIDE)
     timed = timed_frames(recording, 1000)
-    frames = ((framing(recording.picture(index)), time) for index, time in tracked(timed, report))
-    with file.open("wb") as stream:
-        plays = int(recording.motion.loop == "once")
-        durations = [duration for _, duration in timed]
-        write_frames(stream, frames, durations, plays, as_png_info(recording.parameters))
-
-
-def write_frames(
-    stream: BinaryIO,
-    frames: Iterable[tuple["Image", int]],
-    durations: list[int],
-    plays: int,
-    info: "PngInfo",
-) -> None:
-    """Write pictures with their milliseconds, which `durations` states for the header."""
-    count = sum(len(pieces(duration, LONGEST)) for duration in durations)
+    info = as_png_info(recording.parameters)
+    count = sum(len(pieces(duration, LONGEST)) for _, duration in timed)
+    plays = int(recording.motion.loop == "once")
     before: Image | None = None
     sequence = 0
-    for picture, duration in frames:
-        left, top, right, bottom = box = changed(before, picture)
-        chunks = list(_chunks(picture.crop(box), info if before is None else None))
-        data = b"".join(content for kind, content in chunks if kind == b"IDAT")
-        if before is None:
-            stream.write(SIGNATURE)
-            for kind, content in chunks:
-                if kind not in (b"IDAT", b"IEND"):
-                    _write(stream, kind, content)
-            _write(stream, b"acTL", struct.pack(">II", count, plays))
-        # A frame that stays longer than the format allows is drawn again.
-        for number, delay in enumerate(pieces(duration, LONGEST)):
-            place = right - left, bottom - top, left, top
-            # Disposal: none. Blending: the new pixels replace the old ones, opacity included.
-            control = struct.pack(">IIIIIHHBB", sequence, *place, delay, 1000, 0, 0)
-            _write(stream, b"fcTL", control)
-            sequence += 1
-            if before is None and number == 0:
-                _write(stream, b"IDAT", data)
-            else:
-                _write(stream, b"fdAT", struct.pack(">I", sequence) + data)
+    with file.open("wb") as stream:
+        for index, duration in tracked(timed, report):
+            picture = framing(recording.picture(index))
+            left, top, right, bottom = box = changed(before, picture)
+            chunks = list(_chunks(picture.crop(box), info if before is None else None))
+            data = b"".join(content for kind, content in chunks if kind == b"IDAT")
+            if before is None:
+                stream.write(SIGNATURE)
+                for kind, content in chunks:
+                    if kind not in (b"IDAT", b"IEND"):
+                        _write(stream, kind, content)
+                _write(stream, b"acTL", struct.pack(">II", count, plays))
+            # A frame that stays longer than the format allows is drawn again.
+            for number, delay in enumerate(pieces(duration, LONGEST)):
+                place = right - left, bottom - top, left, top
+                # Disposal: none. Blending: the new pixels replace the old ones, opacity included.
+                control = struct.pack(">IIIIIHHBB", sequence, *place, delay, 1000, 0, 0)
+                _write(stream, b"fcTL", control)
                 sequence += 1
-        before = picture
-    _write(stream, b"IEND", b"")
+                if before is None and number == 0:
+                    _write(stream, b"IDAT", data)
+                else:
+                    _write(stream, b"fdAT", struct.pack(">I", sequence) + data)
+                    sequence += 1
+            before = picture
+        _write(stream, b"IEND", b"")
 
 
 def _write(stream: BinaryIO, kind: bytes, content: bytes) -> None:

@@ -1,10 +1,9 @@
 """``.gif``: one palette for all frames, so that nothing flickers."""
 
 import struct
-from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,15 +46,33 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     shown = timed_frames(recording, 100)
     # Frames are read from their file in this thread.
     taken = ((recording.picture(index), units) for index, units in tracked(shown, report))
-    frames = (
-        (picture, units)
-        for (_, units), picture in in_order(lambda each: in_palette(framing(each[0])), taken)
-    )
     head: dict[str, Any] = {"comment": as_text(recording.parameters).encode()}
     if recording.motion.loop != "once":
         head["loop"] = 0
+    before: Image | None = None
+    # Pictures are written as they arrive; Pillow's own writer first keeps them all.
     with file.open("wb") as stream:
-        _write_frames(stream, frames, head, framing.clear)
+        for (_, units), picture in in_order(lambda each: in_palette(framing(each[0])), taken):
+            box = changed(before, picture)
+            # The frame before must not show through.
+            options: dict[str, Any] = (
+                {"transparency": COLORS, "disposal": 2} if framing.clear else {}
+            )
+            if framing.clear and before is not None:
+                box = box_of(np.asarray(picture) != COLORS)
+            part = picture.crop(box)
+            # A frame that stays longer than the format allows is drawn again.
+            for number, piece in enumerate(pieces(units, LONGEST)):
+                if before is None and number == 0:
+                    stream.write(_still(part, 10 * piece, options | head)[:-1])
+                else:
+                    whole = _still(part, 10 * piece, options)
+                    block = bytearray(whole[13 + (6 << (whole[10] & 7)) : -1])
+                    # The place on the canvas stands after the 8 bytes of the duration and a mark.
+                    struct.pack_into("<HH", block, 9, *box[:2])
+                    stream.write(block)
+            before = picture
+        stream.write(b";")
 
 
 def read_metadata(path: Path) -> str:
@@ -64,32 +81,6 @@ def read_metadata(path: Path) -> str:
 
     with image_head(GifImageFile, path) as image:
         return bytes(image.info.get("comment", b"")).decode("ascii", "replace")
-
-
-def _write_frames(
-    stream: BinaryIO, frames: Iterable[tuple["Image", int]], head: dict[str, Any], clear: bool
-) -> None:
-    """Write pictures of one palette as they arrive; Pillow's own writer first keeps them all."""
-    before: Image | None = None
-    for picture, units in frames:
-        box = changed(before, picture)
-        # The frame before must not show through.
-        options: dict[str, Any] = {"transparency": COLORS, "disposal": 2} if clear else {}
-        if clear and before is not None:
-            box = box_of(np.asarray(picture) != COLORS)
-        part = picture.crop(box)
-        # A frame that stays longer than the format allows is drawn again.
-        for number, piece in enumerate(pieces(units, LONGEST)):
-            if before is None and number == 0:
-                stream.write(_still(part, 10 * piece, options | head)[:-1])
-            else:
-                whole = _still(part, 10 * piece, options)
-                block = bytearray(whole[13 + (6 << (whole[10] & 7)) : -1])
-                # The position on the canvas stands after the 8 bytes of the duration and a mark.
-                struct.pack_into("<HH", block, 9, *box[:2])
-                stream.write(block)
-        before = picture
-    stream.write(b";")
 
 
 def _still(picture: "Image", duration: int, options: dict[str, Any]) -> bytes:
