@@ -40,10 +40,10 @@ def test_together_and_one_by_one(any_backend, monkeypatch, rng, sigma):
 def test_many_groups_on_a_tall_canvas(any_backend, rng):
     """Positions far down in the strip keep their precision."""
     options = {"n_frames": 2, "preset": "paper", "size": None, "extent": "true"}
-    ends = rng.random((2, 250, 8, 3))
+    ends = rng.random((2, 250, 3, 3))
     particles = clmorph.morph(*ends, **options, backend="numpy").particles
     groups = np.array_split(np.arange(len(particles.links)), 200)
-    canvas = canvas_at(0.3, (250, 8), (250, 8))
+    canvas = canvas_at(0.3, (250, 3), (250, 3))
     backend = clmorph.get_backend(any_backend)
 
     def densities(some):

@@ -55,7 +55,7 @@ def pair():
 
 @pytest.mark.full
 def test_optimal_widths_are_nearest_to_the_particles(device, pair):
-    pair = [fit(picture, 14) for picture in pair]
+    pair = [fit(picture, 10) for picture in pair]
     result = morph(*pair, n_frames=3, sigma="optimal", endpoints="paper", backend=device)
     _, widths = result.kernel_width.curve
     assert np.all((widths >= 0.5 * WIDTHS[0]) & (widths <= 2 * WIDTHS[-1]))

@@ -285,7 +285,7 @@ class TestCommand:
 @pytest.mark.full
 def test_large_images_are_drawn_from_smaller_copies(device):
     """Their particles are of copies, and their detail and corners of the images themselves."""
-    large = [np.kron(image, np.ones((30, 30, 1))) for image in FOUR[:2]]  # 720 pixels
+    large = [np.kron(image, np.ones((22, 22, 1))) for image in FOUR[:2]]  # 528 pixels
     options = {"size": None, "solve_size": 12, "max_particles": 50_000, "backend": device}
     mixes = clmorph.mix([*large, FOUR[2]], [[1, 0, 0], [2, 1, 1e-6]], **options)
     np.testing.assert_array_equal(mixes[0], large[0].astype(np.float32))

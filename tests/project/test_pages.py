@@ -314,7 +314,7 @@ def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
     """All of them, one after the other in one folder, as somebody types them."""
     monkeypatch.chdir(tmp_path)
     # Larger than the limits, and small where every pixel is moved.
-    write_pictures(128)
+    write_pictures(80)
     set_limits(monkeypatch)
     for line in OURS[page]:
         command = shlex.split(line, comments=True)[1:]
