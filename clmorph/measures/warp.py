@@ -16,7 +16,6 @@ Landmarks contradict each other if their order is reversed from one picture to t
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -194,11 +193,14 @@ def _flow(starts: Array, ends: Array, source: Measure, base: _Base, smoothing: f
     marks = base(starts)
     border = _border(base, (low, high), marks, ends)
     if len(starts) > 2 and smoothing < np.inf:
+        from scipy.interpolate import RBFInterpolator
+
         for step in range(STEPS):
             speeds = (ends - marks) / (STEPS - step)
-            move = _spline(
+            move = RBFInterpolator(
                 np.vstack((marks, border)), np.vstack((speeds, np.zeros_like(border))),
-                np.r_[np.full(len(marks), smoothing), np.zeros(len(border))],
+                smoothing=np.r_[np.full(len(marks), smoothing), np.zeros(len(border))],
+                kernel="thin_plate_spline",
             )  # fmt: skip
             places, marks = places + move(places), marks + move(marks)
     field = places.reshape(*numbers, 2)
@@ -249,10 +251,3 @@ def _border(base: _Base, frame: tuple[Array, Array], marks: Array, ends: Array) 
     # The corners keep the spline determined.
     corner = np.all((grid == 0) | (grid == 1), axis=1) & (away > 1e-6)
     return border[clear | corner]
-
-
-def _spline(knots: Array, values: Array, smoothing: Array) -> Callable[[Array], Array]:
-    """Return the thin-plate spline through values at knots."""
-    from scipy.interpolate import RBFInterpolator
-
-    return RBFInterpolator(knots, values, smoothing=smoothing, kernel="thin_plate_spline")

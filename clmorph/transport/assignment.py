@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +57,8 @@ def assign(
     sources. The search ends when rounds lower the cost by a smaller share than `least_gain`; the
     permutation is not optimal in general.
     """
+    from scipy.optimize import linear_sum_assignment  # takes long to import
+
     n = len(source)
     rng = np.random.default_rng(seed)
     permutation = partitioned(source if destinations is None else destinations, target, rng)
@@ -66,6 +67,13 @@ def assign(
     cost = permutation_cost(source, target, permutation)
     # |X - Y|^2 / 2 is a term of the row, which changes no assignment, plus height_j - X . Y.
     height = np.square(target).sum(axis=1) / 2
+
+    def exchanged(rows: Indices) -> tuple[Indices, Indices]:
+        """Assign the sources of a block to the targets that they have now."""
+        columns = permutation[rows]
+        cost = height[columns] - source[rows] @ target[columns].T
+        return rows, columns[linear_sum_assignment(cost)[1]]
+
     idle = 0
     with ThreadPoolExecutor(min(MAX_THREADS, os.cpu_count() or 1)) as pool:
         for number in range(ROUNDS):
@@ -73,7 +81,7 @@ def assign(
                 break
             size = FIRST_BLOCKS[number] if number < len(FIRST_BLOCKS) else BLOCK
             blocks = _near_pairs(source, target, permutation, size, rng)
-            for rows, columns in pool.map(_Exchange(source, target, permutation, height), blocks):
+            for rows, columns in pool.map(exchanged, blocks):
                 permutation[rows] = columns
             before, cost = cost, permutation_cost(source, target, permutation)
             idle = idle + 1 if before - cost < least_gain * before else 0
@@ -113,23 +121,6 @@ def partitioned(source: Array, target: Array, rng: np.random.Generator) -> Indic
     permutation = np.empty(n, np.intp)
     permutation[rows] = columns
     return permutation
-
-
-@dataclass(frozen=True)
-class _Exchange:
-    """Assigns the sources of a block to the targets that they have now."""
-
-    source: Array
-    target: Array
-    permutation: Indices
-    height: Array
-
-    def __call__(self, rows: Indices) -> tuple[Indices, Indices]:
-        from scipy.optimize import linear_sum_assignment  # takes long to import
-
-        columns = self.permutation[rows]
-        cost = self.height[columns] - self.source[rows] @ self.target[columns].T
-        return rows, columns[linear_sum_assignment(cost)[1]]
 
 
 def _near_pairs(

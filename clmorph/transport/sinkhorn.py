@@ -286,30 +286,25 @@ def geomloss_blurs(diameter: float, blur: float, scaling: float) -> list[float]:
 def finish(ended: Outcome, given: Regularization, truncation: float | None) -> Potentials:
     """Return the potentials that the iteration has reached."""
     problem, state = ended.problem, ended.state
-    message = outcome(
-        ended.status, ended.n_iter, state.residual, ended.tol, ended.rounding,
-        ended.precision,
-    )  # fmt: skip
     return Potentials(
-        state.f, state.g, given.blur, given.reach, ended.status, message, ended.n_iter,
+        state.f, state.g, given.blur, given.reach, ended.status, _how(ended), ended.n_iter,
         state.residual, np.array(ended.residuals),
         problem.certificate(state.f, state.g, state.t_rows, state.t_columns, given.epsilon),
         ended.precise, truncation, problem.error, problem.visited,
     )  # fmt: skip
 
 
-def outcome(
-    status: str, n_iter: int, residual: float, tol: float, rounding: float, precision: str
-) -> str:
+def _how(ended: Outcome) -> str:
     """Return how a solve ended, and a remedy if it missed; numbers are in units of epsilon."""
-    reached = f"residual {residual:.1e} epsilon"
-    missed = f"not converged after {n_iter} iterations: {reached}, wanted {tol:.1e}"
+    reached = f"residual {ended.state.residual:.1e} epsilon"
+    missed = f"not converged after {ended.n_iter} iterations: {reached}, wanted {ended.tol:.1e}"
+    other = "precision='auto'" if ended.precision == "float32" else "'numpy'"
     return {
-        "converged": f"converged in {n_iter} iterations ({reached})",
+        "converged": f"converged in {ended.n_iter} iterations ({reached})",
         "max_iter": f"{missed}; raise max_iter, or use a larger blur or a smaller reach",
-        "precision": f"{missed}; rounding can leave {rounding:.0e} here, so raise tol or "
-        "blur, or use " + ("precision='auto'" if precision == "float32" else "'numpy'"),
-    }[status]
+        "precision": f"{missed}; rounding can leave {ended.rounding:.0e} here, so raise tol or "
+        f"blur, or use {other}",
+    }[ended.status]
 
 
 def warn_unless_converged(status: str, message: str, frames: int = 3) -> None:

@@ -40,14 +40,14 @@ class RowsOfPlan:
     ) -> None:  # fmt: skip
         check_potentials("potentials", potentials, (len(pair[0]), len(pair[1])))
         self.operations, self.pair, self.potentials = operations, pair, potentials
-        self.clouds = clouds or clouds_of(operations, pair, potentials)
+        passes, epsilon = _passes(operations, pair, potentials), potentials.epsilon
+        self.clouds = clouds or (passes.clouds if passes else upload_both(operations, *pair))
         of_grids, weights = self.clouds[0] is None, (pair[0].weights, pair[1].weights)
         self.to_rows: Any = (
             GridSoftmin(operations, *pair)  # type: ignore[arg-type]
             if of_grids
             else Softmin(operations, *self.clouds, weights, potentials.truncation)
         )
-        passes, epsilon = _passes(operations, pair, potentials), potentials.epsilon
         if passes is not None and potentials.truncation is not None:
             self.softmin = passes.softmins[0]
             self.to_rows.take_over(passes.near[0], potentials.g, self.softmin, epsilon)
@@ -135,9 +135,7 @@ def clouds_of(
 ) -> tuple[Any, Any]:
     """Return both measures in the backend's memory, where a large solve may have left them."""
     passes = _passes(operations, pair, potentials)
-    if passes is not None:
-        return passes.clouds
-    return upload_both(operations, *pair)
+    return passes.clouds if passes else upload_both(operations, *pair)
 
 
 def uploaded_pair(operations: Operations, pair: tuple[AnyMeasure, AnyMeasure]) -> tuple[Any, Any]:

@@ -158,8 +158,6 @@ class Softmin:
         if bounded:
             enough = 0.0 if self.truncation is None else ROUNDING_SHARE * self.truncation
             softmin, self.roundoff = self.operations.bounded_softmin(*arguments, near, enough)
-        elif near is None:
-            softmin = self.operations.softmin(*arguments, precise)
         else:
             softmin = self.operations.softmin(*arguments, precise, near)
         self.near, self.guess, self.left_out = near, check_finite(softmin), 0.0
