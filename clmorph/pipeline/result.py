@@ -14,12 +14,11 @@ from clmorph._shared.validation import check_integer, check_number, check_progre
 from clmorph.backends.arrays import pyopencl_needed
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
-from clmorph.frames.frame_renderer import FrameRenderer
+from clmorph.frames.frame_renderer import FrameRenderer, SpreadRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.layers import Layers
 from clmorph.frames.particles import Particles
 from clmorph.frames.sequence import Frame
-from clmorph.frames.spread import SpreadRenderer
 from clmorph.images.detail import is_pixel_art
 from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import solved_size
@@ -53,7 +52,7 @@ class Morph(Film):
     kernel_width : KernelWidth
     operations : Operations
         The backend that renders the frames. Several devices share them, see
-        `clmorph.frames.spread`.
+        `clmorph.frames.frame_renderer`.
     endpoints : {"exact", "paper"}
         Whether the first and the last frame are the images themselves.
     unmatched : {"fade", "grow", "drop"}

@@ -278,7 +278,7 @@ def test_the_kernel_is_shown_where_it_draws_the_detail(rng):
 def test_arrows_are_mean_displacements(rng):
     result = small_morph(rng)
     moved = displacement_statistics(result.source, result.target, result.plan)
-    field = scene_of(result).field
+    field = scene_of(result).fields[0]
     # Fewer pixels than arrows: one for each pixel.
     pixels = max(result.source.shape) - 1
     assert np.allclose(field.positions, result.source.positions)
@@ -288,7 +288,7 @@ def test_arrows_are_mean_displacements(rng):
 
 def test_arrows_of_large_images_are_few(rng):
     result = small_morph(rng, shapes=((30, 50), (9, 9)))
-    field = scene_of(result).field
+    field = scene_of(result).fields[0]
     assert len(field.positions) == 10 * 17  # three by three pixels each, at most 24 along a side
     moved = displacement_statistics(result.source, result.target, result.plan)
     block = (slice(3, 6), slice(6, 9))
@@ -300,7 +300,7 @@ def test_arrows_of_large_images_are_few(rng):
         result.source.colors.reshape(30, 50, 3), result.target.colors.reshape(9, 9, 3),
         n_frames=5, backend="numpy", blur=0.1, barycentric=True,
     )  # fmt: skip
-    again = scene_of(means).field
+    again = scene_of(means).fields[0]
     assert np.allclose(again.displacement, field.displacement, atol=1e-4)
 
 

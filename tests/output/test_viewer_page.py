@@ -383,7 +383,7 @@ def arrows_shown(opened):
 @pytest.mark.full
 def test_arrows_travel(rng, show):
     field = Field([[0.25, 0.5]], [[0.5, 0.0]])
-    opened = show(scene_with(noise(rng, 3, (33, 33, 3)), field=field))
+    opened = show(scene_with(noise(rng, 3, (33, 33, 3)), fields=[field]))
     assert arrows_shown(opened) is None
     assert opened.locator("#field-note").is_hidden()
     opened.get_by_role("button", name="Displacements as arrows").click()
@@ -407,7 +407,9 @@ def test_arrows_travel(rng, show):
 def test_close_arrows_are_drawn_as_their_mean(rng, show):
     x, y = np.meshgrid(np.linspace(0, 1, 64), np.linspace(0, 1, 64))
     places = np.column_stack((x.ravel(), y.ravel()))
-    opened = show(scene_with(noise(rng, 2, (64, 64, 3)), field=Field(places, 0 * places)), **PHONE)
+    opened = show(
+        scene_with(noise(rng, 2, (64, 64, 3)), fields=[Field(places, 0 * places)]), **PHONE
+    )
     opened.keyboard.press("f")
     drawn = arrows_shown(opened)
     from scipy.ndimage import label
@@ -471,7 +473,8 @@ def test_curves(rng, show):
 def test_on_a_desk_all_is_in_sight(rng, show, size):
     curves = [Curve(f"curve {k}", f"unit {k}", rng.random(4)) for k in range(5)]
     scene = scene_with(
-        noise(rng, 4), curves=curves, notes=["A note"] * 2, field=Field([[0.5, 0.5]], [[0.1, 0]]),
+        noise(rng, 4), curves=curves, notes=["A note"] * 2,
+        fields=[Field([[0.5, 0.5]], [[0.1, 0]])],
         parameters={f"parameter {k}": k for k in range(40)},
     )  # fmt: skip
     opened = show(scene, viewport={"width": size[0], "height": size[1]})

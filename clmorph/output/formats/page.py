@@ -40,7 +40,7 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
         title=" → ".join(names[::-1] if backwards else names) or recording.morphs[0].title,
         pixelated=style.is_nearest(recording.pixelated),
         curves=_curves(recording),
-        field=[_turned(field, span) for field in fields] if backwards else fields,
+        fields=[_turned(field, span) for field in fields] if backwards else fields,
         parameters=recording.parameters,
         facts=known_parameters(recording.morphs[0]) if len(recording.morphs) == 1 else {},
         extent=recording.morphs[0].source.extent,

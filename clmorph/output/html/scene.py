@@ -67,8 +67,8 @@ class Scene:
     #: Whether pixels are enlarged as squares when the page opens.
     pixelated: bool = False
     curves: Sequence[Curve] = ()
-    #: One field for each morph of a chain.
-    field: Field | Sequence[Field] | None = None
+    #: At most one field for each morph of a chain.
+    fields: Sequence[Field] = ()
     #: As `json.dumps` accepts them. The page shows them as a table, and `read_metadata` returns
     #: their text.
     parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -80,13 +80,6 @@ class Scene:
     notes: Sequence[str] = ()
     #: For the morph of two pictures, which are the first and last frame; None if the page has none.
     marks: Marks | None = None
-
-    @property
-    def fields(self) -> tuple[Field, ...]:
-        """The fields of arrows as a tuple, which may be empty."""
-        if self.field is None:
-            return ()
-        return (self.field,) if isinstance(self.field, Field) else tuple(self.field)
 
 
 def as_json(name: str, value: Any) -> str:

@@ -30,10 +30,11 @@ HEIGHT = 640
 def scene_of(morph: FrameSequence, times: Array | None = None, **more: Any) -> Scene:
     """Return the content of a page about a morph at `times`; `more` are other fields of `Scene`."""
     chosen = morph.times if times is None else times
+    field = arrow_field(morph)
     known: dict[str, Any] = {
         "frames": MadeItems(lambda index: to_bytes(morph.frame(float(chosen[index]))), len(chosen)),
         "times": chosen, "title": morph.title, "pixelated": morph.pixelated,
-        "curves": morph_curves(morph, chosen), "field": arrow_field(morph),
+        "curves": morph_curves(morph, chosen), "fields": () if field is None else (field,),
         "parameters": known_parameters(morph), "extent": morph.source.extent,
         "marks": marks_of(morph),
     }  # fmt: skip
