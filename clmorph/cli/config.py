@@ -32,11 +32,11 @@ from clmorph.pipeline.recipe import (
     OWN,
     PRESET,
     SHOWN,
+    digest,
     options_of,
     read_recipe,
     read_toml,
 )
-from clmorph.pipeline.recipe import digest as digest
 
 Settings = dict[str, Any]
 
@@ -56,20 +56,27 @@ class Named:
     #: File names, or tables with ``file`` and optionally ``sha256``.
     entries: Sequence[str | Mapping[str, Any]]
 
-    def images(self) -> list[tuple[Path, str | None]]:
-        """Return the path of each picture, and its digest when the file was written, if known."""
+    def paths(self) -> tuple[Path, ...]:
+        """Return the path of each picture, with notes about those that have changed since then."""
         found = []
         for entry in self.entries:
             name = entry if isinstance(entry, str) else str(entry["file"])
-            digest = None if isinstance(entry, str) else entry.get("sha256")
+            known = None if isinstance(entry, str) else entry.get("sha256")
             if not (self.own or is_bare(name)):
                 raise InputError(
                     f"{self.file} names the picture {shown(name)}: a recipe may name "
                     "pictures beside it or in the current folder, without a folder; name the "
                     "pictures in the command line"
                 )
-            found.append((self._sought(name), digest))
-        return found
+            found.append(path := self._sought(name))
+            if not path.exists():
+                raise FileError(
+                    f"{path}: no such file, but the settings name it; put it there, or name the "
+                    "pictures in the command line"
+                )
+            if known is not None and path.is_file() and digest(path) != known:
+                note(f"{path} is not the file that was used then")
+        return tuple(found)
 
     def _sought(self, name: str) -> Path:
         try:

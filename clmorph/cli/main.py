@@ -127,13 +127,7 @@ def _chosen(kind: type[Options], given: Mapping[str, Any]) -> Options:
 
 def _pictures(images: tuple[Path, ...], config: files.Found | None) -> tuple[Path, ...]:
     """Return the pictures of the command line or, if there are none, of the file of settings."""
-    from clmorph.cli.morph import announce_changes
-
-    if config is None or images:
-        return images
-    named = config.named.images()
-    announce_changes(named)
-    return tuple(path for path, _ in named)
+    return images if config is None or images else config.named.paths()
 
 
 @cli.command(epilog=PRESET_LINES, cls=options.LabeledCommand)
@@ -234,8 +228,6 @@ def _chosen_by_preset(
 
 def _beside(given: dict[str, Any], config: files.Found | None) -> dict[str, Sequence[Path]]:
     """Return the files beside the pictures, of the command line or else of the settings."""
-    from clmorph.cli.morph import announce_changes
-
     found: dict[str, Sequence[Path]] = {}
     for name in ("labels", "features", "mask", "lut"):
         line, file = given.get(name), None if config is None else config.beside.get(name)
@@ -244,9 +236,7 @@ def _beside(given: dict[str, Any], config: files.Found | None) -> dict[str, Sequ
         elif file is not None and file.entries == [AUTO, AUTO]:
             found[name] = AUTO_LABELS
         elif file is not None:
-            named = file.images()
-            announce_changes(named)
-            found[name] = tuple(path for path, _ in named)
+            found[name] = file.paths()
     return found
 
 

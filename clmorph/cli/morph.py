@@ -5,7 +5,6 @@ import math
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,11 @@ from numpy.typing import NDArray
 
 from clmorph._shared.printable import size_text
 from clmorph.backends.interface import Operations
-from clmorph.cli import config as files
 from clmorph.cli.common import noted_warnings, read_picture
 from clmorph.cli.request import Request
 from clmorph.cli.terminal import Stages, note, say
 from clmorph.clips.reading import is_clip
-from clmorph.errors import ConvergenceWarning, FileError, InputError, MemoryWarning, PruningWarning
+from clmorph.errors import ConvergenceWarning, InputError, MemoryWarning, PruningWarning
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.resizing import as_unit
 from clmorph.measures.pixel_blocks import block_side, solved_size
@@ -237,18 +235,6 @@ def _run_clips(request: Request) -> None:
             **parameters,
         }
     request.finish(summary, stages, f"{frames} frames, {frames / summary['fps']:.3g} s")
-
-
-def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
-    """Print a note about images that have changed since the file of settings was written."""
-    for path, known in images:
-        if not path.exists():
-            raise FileError(
-                f"{path}: no such file, but the settings name it; put it there, or name the "
-                "pictures in the command line"
-            )
-        if known is not None and path.is_file() and files.digest(path) != known:
-            note(f"{path} is not the file that was used then")
 
 
 def _announce_idle(names: Collection[str], request: Request) -> None:
