@@ -163,8 +163,6 @@ def _border_share(canvas: Canvas, sigma: float) -> Array:
     """Return the kernel mass on each pixel of a uniform spread over the canvas: (H, W) array."""
     if sigma == 0:
         return np.full(canvas.shape, kernel_sum(sigma))
-    along = []
-    for side in canvas.shape:
-        pixels = np.arange(side)
-        along.append(np.exp(-0.5 * ((pixels - pixels[:, None]) / sigma) ** 2).sum(axis=1))
-    return np.asarray(along[0][:, None] * along[1])
+    pixels = [np.arange(side) for side in canvas.shape]
+    down, along = (np.exp(-0.5 * ((p - p[:, None]) / sigma) ** 2).sum(axis=1) for p in pixels)
+    return np.asarray(down[:, None] * along)

@@ -87,8 +87,3 @@ def draw_field(
         angles="xy", scale_units="xy", scale=1, headwidth=3.5, headlength=4,
         headaxislength=3.6, minlength=0.5, width=width,
     )  # fmt: skip
-
-
-def ordinal(number: int) -> str:
-    """Return an ordinal number in words."""
-    return {1: "single", 2: "second", 3: "third"}.get(number, f"{number}th")

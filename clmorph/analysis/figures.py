@@ -20,7 +20,6 @@ from clmorph.analysis.drawing import (
     SKY,
     STYLE,
     draw_field,
-    ordinal,
     pale,
     show,
     step_of,
@@ -145,7 +144,9 @@ def _lay_out(figure: Any, found: Report) -> None:
     axes = figure.add_subplot(grid[0, 1])
     length = max(moved.mass_weighted_mean, 1e-9)
     count = int(np.clip(LONGEST * max(h, w) / length, FEWEST, ARROWS))
-    axes.set_title(f"Displacement of every {ordinal(step_of(found.source.shape, count))} pixel")
+    step = step_of(found.source.shape, count)
+    ordinal = {1: "single", 2: "second", 3: "third"}.get(step, f"{step}th")
+    axes.set_title(f"Displacement of every {ordinal} pixel")
     arrows = draw_field(axes, source, moved, moved.max, count=count)
     axes.set_xlim(-0.5, w - 0.5)
     axes.set_ylim(h - 0.5, -0.5)

@@ -5,7 +5,6 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_choice, check_integer, check_number, shown
 from clmorph.errors import InputError
-from clmorph.frames.canvas import Canvas
 from clmorph.frames.render import Sums
 from clmorph.frames.sequence import FrameSequence, check_frame_sequence
 from clmorph.images.color import from_space
@@ -36,7 +35,11 @@ def frame_measure(
         sums = morph.sums(t)
         colors = morph.frame(t)[..., :3].astype(float)
     else:
-        _check_sums(sums, canvas)
+        if not isinstance(sums, Sums) or np.shape(sums.density) != canvas.shape:
+            raise InputError(
+                f"sums={shown(sums)}: expected what morph.sums returns for the same t, of a frame "
+                f"of shape {canvas.shape}"
+            )
         colors = from_space(sums.colors, morph.particles.path_space)
     n = canvas.shape[0] * canvas.shape[1]
     masses = np.full(n, 1.0 / n)
@@ -85,14 +88,6 @@ def particle_measure(
     )
     spread = np.sum(mass * np.sum((points - centers[group]) ** 2, axis=1)) / mass.sum()
     return WeightedPoints(centers, merged), float(np.sqrt(spread))
-
-
-def _check_sums(sums: Sums, canvas: Canvas) -> None:
-    if not isinstance(sums, Sums) or np.shape(sums.density) != canvas.shape:
-        raise InputError(
-            f"sums={shown(sums)}: expected what morph.sums returns for the same t, of a frame of "
-            f"shape {canvas.shape}"
-        )
 
 
 def _lifted(morph: FrameSequence, positions: Array, colors: Array) -> Array:

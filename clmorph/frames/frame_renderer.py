@@ -249,7 +249,7 @@ class SpreadRenderer:
         first, *others = members_of(renderer.operations)
         self._first = renderer if not others else renderer.on(first)
         self._renderers = [self._first, *(renderer.on(each, self._first) for each in others)]
-        self._times = times
+        self._times, self.detail = times, renderer.detail
         self._turns = turns(renderer.operations, len(times))
         self._turn_at = {float(t): turn for t, turn in zip(times, self._turns, strict=True)}
 
@@ -268,11 +268,6 @@ class SpreadRenderer:
     def sums(self, t: float, widths: Widths | None = None) -> Sums:
         """Render colors, coverage and density at time t; see `FrameRenderer.sums`."""
         return self._at(t).sums(t, widths)
-
-    @property
-    def detail(self) -> str:
-        """What draws the frames; see `FrameRenderer.detail`."""
-        return self._first.detail
 
     @property
     def layers(self) -> Layers | None:

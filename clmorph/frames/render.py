@@ -169,15 +169,13 @@ def uniform_density(mass: float, canvas: Canvas, sigma: float) -> Array:
     """
     from scipy.special import ndtr  # few morphs need it, and it takes long to import
 
-    along = []
-    for side in canvas.shape:
-        if sigma == 0:
-            along.append(np.ones(side))
-            continue
-        borders = np.array([[side - 0.5], [-0.5]]) - np.arange(side)
-        above, below = ndtr(borders / sigma)
-        along.append(above - below)
-    share = along[0][:, None] * along[1]
+    share = np.ones(canvas.shape)
+    if sigma > 0:
+        down, along = (
+            ndtr((side - 0.5 - np.arange(side)) / sigma) - ndtr((-0.5 - np.arange(side)) / sigma)
+            for side in canvas.shape
+        )
+        share = down[:, None] * along
     return np.asarray(mass * kernel_sum(sigma) / (canvas.shape[0] * canvas.shape[1]) * share)
 
 
