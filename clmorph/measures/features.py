@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from clmorph.backends.interface import MAX_LIFTED
 from clmorph.errors import FileError, InputError
 from clmorph.images.label_maps import read_npy, reduced_values
 from clmorph.images.pixels import MAX_PIXELS, read_image
-from clmorph.measures.measure import Measure
+from clmorph.measures.measure import Measure, with_more
 
 #: Coordinates that position and color take.
 OWN = 5
@@ -93,15 +92,7 @@ def with_features(
             f"features are up to {largest:.3g} with their weight: expected at most "
             f"{MAX_FEATURE:g}; scale them, or lower feature_weight"
         )
-    source, target = (
-        replace(
-            measure,
-            features=each if measure.features is None
-            else np.column_stack((measure.features, each)),
-        )
-        for measure, each in zip(measures, scaled, strict=True)
-    )  # fmt: skip
-    return source, target
+    return with_more(measures[0], scaled[0]), with_more(measures[1], scaled[1])
 
 
 def read_features(path: Path, *, max_pixels: int = MAX_PIXELS) -> Array:

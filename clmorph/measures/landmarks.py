@@ -25,7 +25,7 @@ from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import MAX_LIFTED
 from clmorph.errors import InputError
 from clmorph.measures.landmark_options import Landmarks
-from clmorph.measures.measure import Measure
+from clmorph.measures.measure import Measure, with_more
 from clmorph.measures.warp import corners, warp
 
 #: Standard deviation of a bump, in sides of the image, and its height, in units of the cost's
@@ -73,17 +73,12 @@ def guided(
     total = masses.sum()
     channels = _channels(sides[1], MAX_LIFTED - source.points.shape[1])
     radius = bump_radius(source, target)
+    moved = replace(source, warped=warped, weights=masses * (source.mass / total))
     return Guided(
-        replace(
-            source, warped=warped, weights=masses * (source.mass / total),
-            features=_joined(source.features, _bumps(warped, sides[1], channels, radius)),
-        ),
-        replace(
-            target,
-            features=_joined(target.features, _bumps(target.positions, sides[1], channels, radius)),
-        ),
+        with_more(moved, _bumps(warped, sides[1], channels, radius)),
+        with_more(target, _bumps(target.positions, sides[1], channels, radius)),
         missed * max(shapes[1] if shapes else target.shape),
-    )  # fmt: skip
+    )
 
 
 def _sides(
@@ -158,7 +153,3 @@ def _bumps(positions: Array, places: Array, channels: IntArray, radius: float) -
         squares = np.sum((positions - place) ** 2, axis=1)
         found[:, channel] += HEIGHT * np.exp(-squares / (2 * radius**2))
     return found
-
-
-def _joined(features: Array | None, more: Array) -> Array:
-    return more if features is None else np.column_stack((features, more))

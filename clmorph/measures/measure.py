@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -123,6 +123,12 @@ class Measure:
     def mass(self) -> float:
         """Total mass."""
         return float(self.weights.sum())
+
+
+def with_more(measure: Measure, features: Array) -> Measure:
+    """Return a measure with further features, (N, K), behind its own."""
+    own = [] if measure.features is None else [measure.features]
+    return replace(measure, features=np.column_stack((*own, features)))
 
 
 def check_masses(name: str, masses: Array) -> None:

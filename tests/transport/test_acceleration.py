@@ -43,8 +43,7 @@ KINDS = [
 
 
 def quietly(solve, *arguments, **options):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
         return solve(*arguments, **options)
 
 

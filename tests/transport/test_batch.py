@@ -317,8 +317,7 @@ def test_iterations_that_run_out(any_backend, rng, max_iter):
 def test_rounding_that_is_in_the_way_is_told(device, rng):
     pairs = [*random_pairs(rng, 2, (30, 60)), NASTY["one point each"]]
     pairs[2] = tuple((w, np.column_stack((x, [0.0]))) for w, x in pairs[2])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         found = solve(pairs, 0.1, 0.3, 1e-12, 300, backend=device)
         alone = [clmorph.sinkhorn(*pair, 0.1, 0.3, 1e-12, 300, backend=device) for pair in pairs]
     assert found.statuses == [each.status for each in alone]

@@ -65,8 +65,7 @@ def hard(rng: np.random.Generator, count: int = 10) -> Batch:
 def test_certificates_of_hard_problems_enclose_one_optimum(any_backend, seed):
     """Five hundred problems on each device in turn, against NumPy's certificates."""
     sources, targets, options = hard(np.random.default_rng(1000 + seed))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         wanted = clmorph.sinkhorn_batch(sources, targets, **options, backend="numpy")
         found = clmorph.sinkhorn_batch(sources, targets, **options, backend=any_backend)
         for number, pair in enumerate(zip(sources, targets, strict=True)):
@@ -87,8 +86,7 @@ def test_batches_are_as_single_solves(any_backend, seed):
     sources, targets, options = drawn(np.random.default_rng(seed))
     options["backend"] = any_backend
     tol, epsilon = options["tol"], options["blur"] ** 2
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         plain = clmorph.sinkhorn_batch(sources, targets, **options)
         found = clmorph.sinkhorn_divergence_batch(sources, targets, **options, gradient=True)
         for number, pair in enumerate(zip(sources, targets, strict=True)):

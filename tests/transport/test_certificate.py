@@ -31,8 +31,7 @@ def clouds(rng, n=50, m=64, dimension=5, balanced=False):
 def test_certificate_is_that_of_the_dense_plan(any_backend, rng, reach, max_iter):
     """Near the optimum and far from it."""
     pair = clouds(rng, balanced=reach is None)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
         got = sinkhorn(*pair, 0.2, reach, 1e-5, max_iter, any_backend)
     measures = clmorph.measures.points.as_pair(*pair)
     want = certificate(*measures, got.f, got.g, regularization(0.2, reach))
@@ -188,8 +187,7 @@ def test_the_blur_that_is_proposed_is_enough(rng):
         sinkhorn((a, 3 * x), (b, 3 * y), 1e-6, backend="numpy")
     proposed = float(str(caught.value).split("at least ")[1].split(";")[0])
     assert 1e-6 < proposed < 1e-5
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
         assert sinkhorn((a, 3 * x), (b, 3 * y), proposed, max_iter=1, backend="numpy").n_iter == 1
 
 
@@ -236,8 +234,7 @@ def test_the_gap_bounds_the_distance_to_the_optimum(any_backend, rng, reach):
     pair = clouds(rng, balanced=reach is None)
     best = sinkhorn(*pair, 0.1, reach, 1e-11, 5000, "numpy")
     for max_iter in (1, 2, 4, 8, 30):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
             got = sinkhorn(*pair, 0.1, reach, 1e-6, max_iter, any_backend)
         assert best.dual <= got.primal < np.inf
         assert got.dual <= best.primal
@@ -247,8 +244,7 @@ def test_the_gap_bounds_the_distance_to_the_optimum(any_backend, rng, reach):
 
 def _optimum(pair, blur, reach):
     """An interval of the optimum that is far narrower than any device's rounding."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
         best = sinkhorn(*pair, blur, reach, 1e-10, 5000, "numpy")
     assert best.gap <= 1e-10 * abs(best.primal) + 1e-13
     return best
@@ -332,8 +328,7 @@ def test_balanced_potentials_do_not_drift(any_backend, rng, mass):
             (np.full(n, mass / n), rng.random((n, 3))),
             (np.full(m, mass / m), rng.random((m, 3))),
         )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
             got = sinkhorn(*pair, 0.1, None, 1e-10, 300, any_backend)
         size = 1.5 + got.epsilon * abs(np.log(mass))
         assert np.abs(got.f).max() <= 2 * size

@@ -76,8 +76,8 @@ def test_against_the_dense_plan(any_backend, rng, blur, reach):
     """Every component, at a blur so small that exponents need more than float32."""
     pair = problem(rng, reach is None, 30, 25, 3)
     (a, x), (_, y) = pair
-    with warnings.catch_warnings():  # some devices round so much that 1e-6 is out of reach
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    # some devices round so much that 1e-6 is out of reach
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         solved = clmorph.sinkhorn(*pair, blur, reach, 1e-6, 20000, any_backend)
     assert solved.status == "converged" or (solved.status == "precision" and solved.residual < 1e-5)
     got = clmorph.gradient(*pair, solved, backend=any_backend)
@@ -204,8 +204,8 @@ def test_weights_of_measures_whose_points_hardly_share_mass(any_backend):
     ]
     want = (values[0] - values[1]) / 2e-5
     options = {"blur": 0.05, "tol": 1e-6, "backend": any_backend, "gradient": True}
-    with warnings.catch_warnings():  # float32 ends the solve between both measures a little before
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    # float32 ends the solve between both measures a little before
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         (batched,) = clmorph.sinkhorn_divergence_batch([pair[0]], [pair[1]], **options)
         alone = clmorph.sinkhorn_divergence(*pair, **options)
     for found in (batched, alone):

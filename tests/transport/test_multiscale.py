@@ -598,8 +598,7 @@ def test_waiting_for_a_smaller_residual_keeps_the_limits(device, monkeypatch, to
     choice = StoredChoice(1e-4, 6.0, residual=0.5)
     monkeypatch.setattr(multiscale, "STORED_CHOICES", (choice,))
     pair = sharp(32)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
         got = sinkhorn(*pair, 0.03, 0.3, tol, max_iter=max_iter, backend=device, multiscale=True)
     assert got.n_iter <= max_iter
     assert got.converged == (got.residual <= tol)
@@ -764,8 +763,7 @@ def test_cycles_end_where_rounding_begins(device, rng, precision, reach):
     """However small the tolerance, in clusters and over stored pairs."""
     for blur in (0.1, 0.8):
         pair = [(np.full(30, 1 / 30), rng.random((30, 2))) for _ in range(2)]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
             got = sinkhorn(
                 *pair, blur, reach, 1e-9, 3000, device, precision=precision, multiscale=True
             )  # fmt: skip

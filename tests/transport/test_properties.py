@@ -27,8 +27,7 @@ def problem(seed, n, m, order, dimension=3):
 
 
 def solve(pair, *arguments, **options):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
         return sinkhorn(*pair, *arguments, **({"backend": "numpy"} | options))
 
 

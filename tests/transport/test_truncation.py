@@ -48,8 +48,7 @@ def pair_of(kind, rng, n, m):
 
 
 def quietly(*arguments, **options):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
         return sinkhorn(*arguments, **options)
 
 

@@ -115,7 +115,7 @@ class Anderson:
         longest = ring.radius * plain
         ring.was_cut = found & (length > longest)
         factor = np.minimum(1.0, longest / np.maximum(length, TINY))
-        return image + of.scaled(found * factor, step), found
+        return image + of.spread(found * factor) * step, found
 
     def _coefficients(self, residual: Array, weights: Array) -> tuple[Array, Any]:
         """Return the coefficients of the stored differences, and whether they are determined."""

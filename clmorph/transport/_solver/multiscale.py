@@ -136,7 +136,10 @@ class Multiscale(Outcome):
                 g = anneal(self.problem, self._pair, self.problem, self._blur, self._max_iter)
             prepare(self.problem, LEAST_RESERVE)
             return None, g
-        grid, fineness = self._clusters_grid(*clusters), self._fineness(clusters)
+        grid = self._clusters_grid(*clusters)
+        sizes = zip(clusters, self._pair, strict=True)
+        share = np.prod([len(own.measure) / len(points) for own, points in sizes])
+        fineness = next(each for each in FINENESSES if share <= each.most)
         prepare(grid.problem, fineness.clusters)
         self._floor = fineness.floor
         g = start
@@ -162,12 +165,6 @@ class Multiscale(Outcome):
                 own = zip(self._pair, cubes, strict=True)
                 return [join_points(measure, *each) for measure, each in own]
         return None
-
-    def _fineness(self, clusters: list[Clusters]) -> Fineness:
-        """Return how these clusters are used."""
-        sizes = zip(clusters, self._pair, strict=True)
-        share = np.prod([len(own.measure) / len(points) for own, points in sizes])
-        return next(each for each in FINENESSES if share <= each.most)
 
     def _clusters_grid(self, source: Clusters, target: Clusters) -> CoarseGrid:
         """Return the problem of the clusters, with the softmin that prolongs its solution."""

@@ -34,10 +34,6 @@ class Reductions:
         """Return the inner products of (k, n) vectors with one vector: (k,) array."""
         return np.asarray(self._each_of(functools.partial(np.einsum, "k...n,...n->...k"), many, x))
 
-    def scaled(self, factor: Any, x: Array) -> Array:
-        """Return a vector multiplied by a number of each problem."""
-        return np.asarray(self.spread(factor) * x)
-
     def _each_of(self, reduce: Callable[..., Any], *vectors: Array) -> Any:
         """Return what a function of parts (..., n) gives for each problem."""
         return reduce(*vectors)
