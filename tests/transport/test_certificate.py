@@ -272,7 +272,7 @@ def test_bounds_include_the_rounding_of_the_device(device, rng, dimension):
 def test_balanced_transport_of_any_mass(any_backend, mass, multiscale, seed):
     """As many iterations as for a mass of one, and the residual that is told."""
     rng = np.random.default_rng(seed)
-    n, m = rng.integers(20, 300, 2)
+    n, m = rng.integers(20, 200, 2)
     dimension = rng.integers(1, 6)
     a, b = rng.random(n), rng.random(m)
     x, y = rng.random((n, dimension)), rng.random((m, dimension))

@@ -190,7 +190,6 @@ def test_a_batch_gives_what_a_loop_gives(any_backend, rng, reach):
 
 
 @pytest.mark.full
-@pytest.mark.small
 def test_weights_of_measures_whose_points_hardly_share_mass(any_backend):
     """Plans of measures with themselves are nearly diagonal: they determine f + g alone."""
     rng = np.random.default_rng(0)
