@@ -25,9 +25,8 @@ from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
-from clmorph.frames.fields import Field, affine, field_of
+from clmorph.frames.fields import Field, affine, field_of, layer_of
 from clmorph.frames.figures import figures_of
-from clmorph.frames.moved_layer import layer_of
 from clmorph.frames.outline import thinness
 from clmorph.frames.particles import Particles
 from clmorph.frames.pictures import MET, Pictures, lightness_of

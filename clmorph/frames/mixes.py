@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.ends import End
-from clmorph.frames.fields import Field, sampled
+from clmorph.frames.fields import Field, Layer, layer_of, sampled
 from clmorph.frames.figures import figures_of
 from clmorph.frames.layers import Layers, follow
-from clmorph.frames.moved_layer import Layer, layer_of
 from clmorph.frames.pictures import Pictures
 from clmorph.frames.switching import turns
 from clmorph.measures.measure import Measure

@@ -22,9 +22,8 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.records import LayerView
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
-from clmorph.frames.fields import CELLS, POINTS, affine, blurred
+from clmorph.frames.fields import CELLS, POINTS, Layer, affine, blurred, led_to
 from clmorph.frames.figures import Figure, beyond
-from clmorph.frames.moved_layer import Layer, led_to
 from clmorph.frames.outline import FAR, around, bounded, outline_of, thinness
 from clmorph.frames.resampling import Enlarged, Float32, reduced
 from clmorph.images.color import PART, from_space, to_space

@@ -11,8 +11,7 @@ from clmorph import InputError, MorphOptions
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.frames import outline, pictures, sprites
 from clmorph.frames.canvas import Canvas
-from clmorph.frames.fields import Field
-from clmorph.frames.moved_layer import layer_of, led_to
+from clmorph.frames.fields import Field, layer_of, led_to
 
 TIMES = (0.0, 0.02, 0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9, 0.98, 1.0)
 SMALL = {"solve_size": 32, "n_frames": 3}
