@@ -1,4 +1,4 @@
-"""Weighted points that are not an image, and what the solver takes as a measure, or as many."""
+"""Weighted points that are not an image, in any dimension up to 1,024 and any unit; many measures."""
 
 from __future__ import annotations
 

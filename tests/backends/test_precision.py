@@ -92,9 +92,9 @@ def test_more_than_float32_is_taken_only_where_needed(precise_device, monkeypatc
     asked = []
     softmin = precise_device.softmin
 
-    def watch(rows, columns, potential, epsilon, precise=False):
+    def watch(rows, columns, potential, epsilon, precise=False, near=None):
         asked.append(precise)
-        return softmin(rows, columns, potential, epsilon, precise)
+        return softmin(rows, columns, potential, epsilon, precise, near)
 
     monkeypatch.setattr(precise_device, "softmin", watch)
     # Iterations on the device ask for no single softmins.
