@@ -1,4 +1,4 @@
-"""Weighted points that are not an image, in any dimension up to 1,024 and any unit; many measures."""
+"""Weighted points that are not an image, in any dimension up to 1,024 and any unit; also many."""
 
 from __future__ import annotations
 
