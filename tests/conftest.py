@@ -30,7 +30,7 @@ from clmorph.backends.opencl.devices.find import Device, find_devices, tried
 from clmorph.backends.opencl.devices.quirks import NO_VECTORS
 
 #: Helpers that have fixtures.
-pytest_plugins = ("browsers", "refusals", "studio_pages")
+pytest_plugins = ("browsers", "pictures", "refusals", "studio_pages")
 DEVICES = find_devices()
 USABLE = [device for device in DEVICES if device.usable]
 #: The devices to test: all usable ones but pip's old PoCL, or those that `--device` names.

@@ -6,6 +6,20 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pytest
+
+from clmorph import read_image
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Read bytes as a file."""
+
+    def read(data, name="image", **options):
+        (tmp_path / name).write_bytes(data)
+        return read_image(tmp_path / name, **options)
+
+    return read
 
 
 def png_chunk(name: bytes, data: bytes) -> bytes:

@@ -51,27 +51,6 @@ def test_reducing_does_not_show_what_is_transparent():
     assert small[..., 3].mean() == pytest.approx(inside.mean(), abs=0.02)
 
 
-@pytest.mark.parametrize(
-    ("array", "words"),
-    [
-        (np.zeros(5), "shape"),
-        (np.zeros((4, 4, 2)), "shape"),
-        (np.zeros((0, 4, 3)), "shape"),
-        (np.zeros((4, 4, 3), int), "dtype"),
-        (np.zeros((4, 4, 3), complex), "dtype"),
-        (np.full((4, 4, 3), np.nan), "NaN"),
-        (np.full((4, 4, 3), np.inf), "NaN"),
-        (np.full((4, 4, 3), 2.0), "values from 2"),
-        (np.full((4, 4, 3), -1.0), "values from -1"),
-        ("photo.png", "read_image"),
-        ([[1, 2], [3]], "not an array"),
-    ],
-)
-def test_what_is_no_image(array, words):
-    with pytest.raises(InputError, match=words):
-        as_rgb(array)
-
-
 def test_fit_keeps_the_aspect_and_smooths():
     stripes = np.zeros((100, 200, 3))
     stripes[:, ::2] = 1

@@ -40,8 +40,9 @@ def test_drawings(name):
         assert kind_of(logo(name, 200, ground=None)) == "drawing"
 
 
-def test_a_large_drawing():
-    assert kind_of(logo("star", 900, ground="#102030")) == "drawing"
+@pytest.mark.parametrize(("name", "side", "ground"), [("star", 900, "#102030"), ("disc", 60, None)])
+def test_large_and_small_drawings(name, side, ground):
+    assert kind_of(logo(name, side, ground=ground)) == "drawing"
 
 
 def test_a_shaded_drawing_with_opacity_is_one():
@@ -98,10 +99,6 @@ def test_a_gradient_is_no_flat_picture(shape, end):
 @pytest.mark.parametrize("channels", [3, 4])
 def test_long_pictures(shape, channels, rng):
     assert kind_of(rng.random((*shape, channels))) == "photograph"
-
-
-def test_one_color_with_soft_edges_is_no_sprite():
-    assert kind_of(logo("disc", 60, ground=None)) == "drawing"
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 3), (1, 9, 3), (2, 2, 4), (3, 1, 3)])

@@ -22,17 +22,6 @@ from clmorph.errors import FileError
 WIDTH, HEIGHT = 7, 5
 
 
-@pytest.fixture
-def read(tmp_path):
-    """Read bytes as a file."""
-
-    def read(data, name="image", **options):
-        (tmp_path / name).write_bytes(data)
-        return read_image(tmp_path / name, **options)
-
-    return read
-
-
 def values(rng, samples, dtype):
     shape = (HEIGHT, WIDTH, samples) if samples > 1 else (HEIGHT, WIDTH)
     if np.dtype(dtype).kind == "f":
@@ -106,10 +95,9 @@ def test_orientation(tmp_path, read, rng, orientation):
     for name in ("a.png", "a.webp"):
         Image.fromarray(array).save(tmp_path / name, exif=exif, lossless=True)
         assert np.array_equal(read_image(tmp_path / name)[..., 0], want), name
-    tags = {262: 1, 274: orientation}
-    deep = array.astype("<u2") * 257
-    for data, bits in ((array.tobytes(), 8), (deep.tobytes(), 16)):
-        got = read(tiff(data, WIDTH, HEIGHT, tags | {258: bits}))
+    for stored, bits in ((array, 8), (array.astype("<u2") * 257, 16)):
+        tags = {258: bits, 262: 1, 274: orientation}
+        got = read(tiff(stored.tobytes(), WIDTH, HEIGHT, tags))
         assert np.allclose(got[..., 0], want, atol=1e-9)
 
 
@@ -148,14 +136,12 @@ def test_transparent_colors_of_pngs(read, rng, bits, color):
     assert np.abs(got[..., :3] - array / ((1 << bits) - 1)).max() < 1e-9
 
 
-@pytest.mark.parametrize("gamma", [1.0, 0.55556, 0.45455])
+@pytest.mark.parametrize("gamma", [1.0, 0.55556])
 def test_gamma_of_pngs(read, gamma):
     array = np.arange(0, 256, dtype=np.uint8)[None]
     got = read(png(array, 0, 8, ((b"gAMA", struct.pack(">I", round(gamma * 100000))),)))[0, :, 0]
     light = (array[0] / 255) ** (1 / gamma)
     want = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    if gamma == 0.45455:
-        want = array[0] / 255
     assert np.abs(got - want).max() < 1e-4
     chunks = ((b"sRGB", b"\0"), (b"gAMA", struct.pack(">I", 100000)))
     assert np.array_equal(read(png(array, 0, 8, chunks))[0, :, 0], array[0] / 255)
@@ -164,8 +150,37 @@ def test_gamma_of_pngs(read, gamma):
 # Profiles
 
 
+D50 = np.array([0.9642, 1, 0.8249])
+
+
+def fixed(numbers):
+    return b"".join(struct.pack(">i", round(float(n) * 65536)) for n in numbers)
+
+
+def icc_profile(space, name, tags):
+    """An ICC profile (version 2) of a display with colors of this kind."""
+    text = name.encode() + b"\0"
+    tags = {
+        b"desc": b"desc" + bytes(4) + struct.pack(">I", len(text)) + text + bytes(78),
+        b"cprt": b"text" + bytes(4) + b"none\0", b"wtpt": b"XYZ " + bytes(4) + fixed(D50), **tags,
+    }  # fmt: skip
+    table, body = struct.pack(">I", len(tags)), b""
+    for tag, data in tags.items():
+        table += tag + struct.pack(">II", 132 + 12 * len(tags) + len(body), len(data))
+        body += data.ljust(-(-len(data) // 4) * 4, b"\0")
+    header = bytearray(128)
+    header[8:12], header[12:24], header[36:40] = b"\2\x20\0\0", b"mntr" + space + b"XYZ ", b"acsp"
+    header[68:80] = fixed(D50)
+    whole = bytes(header) + table + body
+    return struct.pack(">I", len(whole)) + whole[4:]
+
+
+def curve(gamma):
+    return b"curv" + bytes(4) + struct.pack(">IH", 1, round(gamma * 256))
+
+
 def matrix_profile(primaries, gamma, name):
-    """An ICC profile (version 2) of an RGB display with these primaries and the white D65."""
+    """A profile of an RGB display with these primaries and the white D65; its colors as XYZ."""
 
     def xyz(x, y):
         return np.array([x / y, 1, (1 - x - y) / y])
@@ -176,32 +191,13 @@ def matrix_profile(primaries, gamma, name):
     bradford = np.array(
         [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
     )
-    d50 = np.array([0.9642, 1, 0.8249])
-    scale = np.diag(bradford @ d50 / (bradford @ white))
+    scale = np.diag(bradford @ D50 / (bradford @ white))
     columns = np.linalg.inv(bradford) @ scale @ bradford @ columns
-
-    def fixed(numbers):
-        return b"".join(struct.pack(">i", round(float(n) * 65536)) for n in numbers)
-
-    text = name.encode() + b"\0"
-    description = b"desc" + bytes(4) + struct.pack(">I", len(text)) + text + bytes(78)
-    curve = b"curv" + bytes(4) + struct.pack(">IH", 1, round(gamma * 256))
-    tags = {
-        b"desc": description, b"cprt": b"text" + bytes(4) + b"none\0",
-        b"wtpt": b"XYZ " + bytes(4) + fixed(d50),
-    }  # fmt: skip
+    tags = {}
     for letter, column in zip(b"rgb", columns.T, strict=True):
         tags[bytes([letter]) + b"XYZ"] = b"XYZ " + bytes(4) + fixed(column)
-        tags[bytes([letter]) + b"TRC"] = curve
-    table, body = struct.pack(">I", len(tags)), b""
-    for tag, data in tags.items():
-        table += tag + struct.pack(">II", 132 + 12 * len(tags) + len(body), len(data))
-        body += data.ljust(-(-len(data) // 4) * 4, b"\0")
-    header = bytearray(128)
-    header[8:12], header[12:24], header[36:40] = b"\2\x20\0\0", b"mntrRGB XYZ ", b"acsp"
-    header[68:80] = fixed(d50)
-    whole = bytes(header) + table + body
-    return struct.pack(">I", len(whole)) + whole[4:], columns
+        tags[bytes([letter]) + b"TRC"] = curve(gamma)
+    return icc_profile(b"RGB ", name, tags), columns
 
 
 SRGB_PRIMARIES = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
@@ -238,7 +234,7 @@ def test_profiles_keep_opacity_and_gray(tmp_path, rng):
     assert np.abs(read_image(tmp_path / "b.png") - converted(gray, columns, 1)).max() < 0.02
 
 
-def test_16_bits_with_a_profile_are_converted_and_noted(tmp_path, read, rng):
+def test_16_bits_with_a_profile_are_converted_and_noted(read, rng):
     profile, columns = matrix_profile(P3_PRIMARIES, 2.2, "Wide")
     array = values(rng, 3, np.uint16)
     data = png(array, 2, 16, ((b"iCCP", b"Wide\0\0" + zlib.compress(profile)),))
@@ -247,21 +243,7 @@ def test_16_bits_with_a_profile_are_converted_and_noted(tmp_path, read, rng):
     assert np.abs(got - converted(as_float(array), columns, 2.19921875)).max() < 0.02
 
 
-def test_profiles_that_cannot_be_used_are_noted(tmp_path):
-    for profile in (b"nothing", ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()):
-        Image.new("RGB", (4, 4), "red").save(tmp_path / "a.png", icc_profile=profile)
-        with pytest.warns(ImageWarning, match="taken as sRGB"):
-            assert read_image(tmp_path / "a.png")[0, 0].tolist() == [1, 0, 0]
-
-
 # Other formats
-
-
-def test_inverted_ink_of_jpegs(tmp_path):
-    ink = np.zeros((16, 16, 4), np.uint8)
-    ink[..., 1:3] = 255
-    Image.frombytes("CMYK", (16, 16), ink.tobytes()).save(tmp_path / "a.jpg", quality=100)
-    assert np.abs(read_image(tmp_path / "a.jpg") - [1, 0, 0]).max() < 0.02
 
 
 def test_around_the_first_picture_of_a_gif_is_nothing(read, tmp_path):
@@ -447,21 +429,12 @@ def test_whatever_a_decoder_raises_is_told_as_ours(tmp_path, monkeypatch):
         read_image(file)
 
 
-def test_bombs_are_refused(read, tmp_path):
+def test_bombs_are_refused(read):
     """Files of a few KB that say, or hold, much more than they are."""
-    million = zlib.compress(bytes(50_000_000), 9)
     bombs = {
         "samples": tiff(bytes(64), 100, 100, {258: 8, 262: 2, 277: 60000}),
-        "inflating": tiff(million, 64, 64, {258: 8, 259: 8, 262: 1}),
         "missing": tiff(bytes(64), 7900, 7900, {258: (16,) * 3, 262: 2, 277: 3, 279: 375 << 20}),
-        "one tile": tiff(
-            bytes(64), 8, 8,
-            {258: 8, 262: 1, 273: None, 279: None, 278: None, 322: 65536, 323: 65536, 324: 8,
-             325: 64},
-        ),
         "strips": tiff(bytes(64), 1, 600000, {258: 8, 262: 1, 278: 1, 273: (8,) * 600000}),
-        "text": png(np.zeros((2, 2)), 0, 8, ((b"zTXt", b"a\0\0" + million),)),
-        "profile": png(np.zeros((2, 2)), 0, 8, ((b"iCCP", b"a\0\0" + million),)),
         "side": png(np.zeros((1, 1)), 0, 8)[:16] + struct.pack(">II", 1 << 30, 1 << 30),
     }  # fmt: skip
     inner = png(np.zeros((1, 1), int), 0, 1)
@@ -473,18 +446,8 @@ def test_bombs_are_refused(read, tmp_path):
     )  # fmt: skip
     for name, data in bombs.items():
         with pytest.raises(FileError) as caught:
-            read(data, name.replace(" ", "-"))
+            read(data, name)
         assert str(caught.value).isprintable()
-
-
-def test_many_scans_are_refused(tmp_path, read):
-    picture = Image.linear_gradient("L").convert("RGB")
-    picture.save(tmp_path / "a.jpg", progressive=True)
-    data = (tmp_path / "a.jpg").read_bytes()
-    assert read(data).shape == (256, 256, 3)
-    place = data.rindex(b"\xff\xda")
-    with pytest.raises(FileError, match="scans"):
-        read(data[:-2] + data[place:-2] * 100 + data[-2:])
 
 
 # Global state
@@ -569,13 +532,6 @@ def test_the_command_prints_notes_and_no_remarks_of_libraries(
 # What ordinary programs write
 
 
-@pytest.mark.parametrize("mode", ["RGB", "RGBA"])
-def test_icons_of_bitmaps(tmp_path, rng, mode):
-    array = rng.integers(0, 256, (32, 32, len(mode)), np.uint8)
-    Image.fromarray(array).save(tmp_path / "a.ico", sizes=[(32, 32)], bitmap_format="bmp")
-    assert np.array_equal(read_image(tmp_path / "a.ico"), array / 255)
-
-
 @pytest.mark.parametrize("gamma", [44000, 45000, 45455, 46000, round(1e5 / 2.3)])
 def test_gamma_near_that_of_srgb_is_srgb(read, gamma):
     array = np.arange(0, 256, dtype=np.uint8)[None]
@@ -641,31 +597,14 @@ def test_profiles_are_known_by_what_they_do(tmp_path, rng):
         assert np.array_equal(read_image(tmp_path / "b.png"), array / 255)
 
 
-def gray_profile(gamma):
-    """An ICC profile (version 2) of gray."""
-    text = b"Gray\0"
-    tags = {
-        b"desc": b"desc" + bytes(4) + struct.pack(">I", len(text)) + text + bytes(78),
-        b"cprt": b"text" + bytes(4) + b"none\0",
-        b"wtpt": b"XYZ " + bytes(4) + struct.pack(">iii", 63190, 65536, 54061),
-        b"kTRC": b"curv" + bytes(4) + struct.pack(">IH", 1, round(gamma * 256)),
-    }
-    table, body = struct.pack(">I", len(tags)), b""
-    for tag, data in tags.items():
-        table += tag + struct.pack(">II", 132 + 12 * len(tags) + len(body), len(data))
-        body += data.ljust(-(-len(data) // 4) * 4, b"\0")
-    header = bytearray(128)
-    header[8:12], header[12:24], header[36:40] = b"\2\x20\0\0", b"mntrGRAYXYZ ", b"acsp"
-    header[68:80] = struct.pack(">iii", 63190, 65536, 54061)
-    whole = bytes(header) + table + body
-    return struct.pack(">I", len(whole)) + whole[4:]
+GRAY_PROFILE = icc_profile(b"GRAY", "Gray", {b"kTRC": curve(1.0)})
 
 
 @pytest.mark.parametrize("mode", ["L", "LA"])
 def test_profiles_of_gray_are_applied(tmp_path, rng, mode):
     array = rng.integers(0, 256, (8, 8, 2), np.uint8)
     stored = array if mode == "LA" else array[..., 0]
-    Image.fromarray(stored).save(tmp_path / "a.png", icc_profile=gray_profile(1.0))
+    Image.fromarray(stored).save(tmp_path / "a.png", icc_profile=GRAY_PROFILE)
     light = array[..., :1] / 255
     want = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     got = read_image(tmp_path / "a.png")
@@ -675,16 +614,16 @@ def test_profiles_of_gray_are_applied(tmp_path, rng, mode):
 
 
 def test_notes_about_profiles_are_sentences(tmp_path):
-    Image.new("RGB", (4, 4), "red").save(tmp_path / "a.png", icc_profile=gray_profile(1.0))
+    Image.new("RGB", (4, 4), "red").save(tmp_path / "a.png", icc_profile=GRAY_PROFILE)
     with pytest.warns(ImageWarning) as caught:
-        read_image(tmp_path / "a.png")
+        assert read_image(tmp_path / "a.png")[0, 0].tolist() == [1, 0, 0]
     assert str(caught[0].message) == (
         f"{tmp_path / 'a.png'} has a color profile, 'Gray', that is for other colors than its RGB: "
         "the colors are taken as sRGB; convert the image to sRGB first for exact ones"
     )
     Image.new("RGB", (4, 4), "red").save(tmp_path / "a.png", icc_profile=b"nothing")
     with pytest.warns(ImageWarning, match="has a color profile, unreadable, that cannot be used: "):
-        read_image(tmp_path / "a.png")
+        assert read_image(tmp_path / "a.png")[0, 0].tolist() == [1, 0, 0]
 
 
 def test_large_tiffs_are_told_the_limit(read):
@@ -731,17 +670,18 @@ def test_kinds_that_are_not_read_are_told(read, start, kind):
         read(b"nothing in particular")
 
 
-def test_scans_are_counted_by_what_is_allowed(tmp_path, monkeypatch):
+def test_scans_are_counted_by_what_is_allowed(tmp_path, read, monkeypatch):
     """Ten scans are ordinary: of any picture that is not too large, they are read."""
-    monkeypatch.setattr("clmorph.images.reading.opening.MAX_SCANNED", 1000)
     Image.linear_gradient("L").convert("RGB").save(tmp_path / "a.jpg", progressive=True)
     data = (tmp_path / "a.jpg").read_bytes()
     assert data.count(b"\xff\xda") > 5
-    assert read_image(tmp_path / "a.jpg", max_pixels=65536).shape == (256, 256, 3)
-    place = data.rindex(b"\xff\xda")
-    (tmp_path / "a.jpg").write_bytes(data[:-2] + data[place:-2] * 20 + data[-2:])
+    scan = data[data.rindex(b"\xff\xda") : -2]
+    with pytest.raises(FileError, match="scans"):
+        read(data[:-2] + scan * 100 + data[-2:])
+    monkeypatch.setattr("clmorph.images.reading.opening.MAX_SCANNED", 1000)
+    assert read(data, max_pixels=65536).shape == (256, 256, 3)
     with pytest.raises(FileError, match=r"scans: expected at most 16 .*as a plain JPEG"):
-        read_image(tmp_path / "a.jpg", max_pixels=65536)
+        read(data[:-2] + scan * 20 + data[-2:], max_pixels=65536)
 
 
 def test_common_files_do_not_load_every_plugin(tmp_path):
@@ -792,6 +732,7 @@ def ordinary_files(folder):
         "plain.pcx": (picture, {}), "plain.sgi": (picture, {}), "clear.dds": (clear, {}),
         "bitmap.ico": (clear, {"bitmap_format": "bmp", "sizes": [(24, 24)]}),
         "plain.ico": (clear, {"sizes": [(24, 24)]}),
+        "solid.ico": (picture, {"bitmap_format": "bmp", "sizes": [(24, 24)]}),
         "palette.ico": (palette, {"bitmap_format": "bmp", "sizes": [(16, 16)]}),
     }  # fmt: skip
     for name, (saved, options) in written.items():

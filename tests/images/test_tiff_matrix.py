@@ -155,7 +155,7 @@ def test_matrix(tmp_path, rng, samples, photometric, compression):
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("bits", [1, 2, 4, 10, 12])
 @pytest.mark.parametrize("photometric", [0, 1, 2, 3])
-def test_packed_samples(tmp_path, rng, bits, photometric, order):
+def test_packed_samples(read, rng, bits, photometric, order):
     """Samples that share bytes; tifffile itself does not write all of them as the standard says."""
     count = 3 if photometric == 2 else 1
     array = rng.integers(0, 1 << bits, (HEIGHT, WIDTH, count))
@@ -165,10 +165,9 @@ def test_packed_samples(tmp_path, rng, bits, photometric, order):
     tags = {258: (bits,) * count, 262: photometric, 277: count}
     if photometric == 3:
         tags[320] = tuple(int(value) * 257 for value in palette.T.ravel())
-    (tmp_path / "a.tif").write_bytes(tiff(data, WIDTH, HEIGHT, tags, order))
     want = palette[array[..., 0]] / 255 if photometric == 3 else array / ((1 << bits) - 1)
     want = 1 - want if photometric == 0 else want
-    assert np.abs(read_image(tmp_path / "a.tif") - want).max() < 1e-9
+    assert np.abs(read(tiff(data, WIDTH, HEIGHT, tags, order)) - want).max() < 1e-9
 
 
 @pytest.mark.parametrize("mode", ["RGB", "L", "CMYK", "YCbCr", "WebP"])
@@ -195,26 +194,18 @@ def test_floats_that_are_no_colors_are_refused_by_name(tmp_path, value):
         read_image(tmp_path / "a.tif")
 
 
-def test_kinds_that_are_not_read_are_not_called_damaged(tmp_path):
+def test_kinds_that_are_not_read_are_not_called_damaged(read):
     for tags in ({258: 8, 259: 32809}, {258: 8, 262: 32845}, {258: (5, 6, 5), 262: 2, 277: 3}):
-        data = tiff(bytes(64), 4, 4, {262: 1, **tags})
-        (tmp_path / "a.tif").write_bytes(data)
         with pytest.raises(FileError) as caught:
-            read_image(tmp_path / "a.tif")
+            read(tiff(bytes(64), 4, 4, {262: 1, **tags}))
         assert "complete" not in str(caught.value)
 
 
-def test_decoders_write_nothing_to_the_terminal(tmp_path, capfd):
-    Image.linear_gradient("L").save(tmp_path / "a.tif", compression="tiff_lzw")
-    data = (tmp_path / "a.tif").read_bytes()
-    (tmp_path / "a.tif").write_bytes(data[:9] + b"\xff" * 200 + data[209:])
-    with pytest.raises(FileError):
-        read_image(tmp_path / "a.tif")
+def test_decoders_write_nothing_to_the_terminal(tmp_path):
     odd = tiff(bytes(64), 8, 8, {258: 8, 262: 1, 296: 77, 338: 99})  # tifffile logs such numbers
     code = "import sys, clmorph; print(clmorph.read_image(sys.argv[1]).shape)"
-    (tmp_path / "b.tif").write_bytes(odd)
+    (tmp_path / "a.tif").write_bytes(odd)
     done = subprocess.run(
-        [sys.executable, "-c", code, tmp_path / "b.tif"], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code, tmp_path / "a.tif"], capture_output=True, text=True, check=True
     )
     assert (done.stdout, done.stderr) == ("(8, 8, 3)\n", "")
-    assert capfd.readouterr() == ("", "")
