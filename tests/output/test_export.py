@@ -73,15 +73,20 @@ def stills(file):
         return frames, durations
 
 
-def decoded(file):
-    """The frames of a video as the system's ffmpeg decodes them, by the tags in the file."""
-    shape = probe(file)["height"], probe(file)["width"], 3
+def decoded(file, depth=3, *decoder):
+    """The frames of a film as the system's ffmpeg decodes them, by the tags in the file."""
+    shape = probe(file)["height"], probe(file)["width"], depth
     raw = subprocess.run(
-        [program("ffmpeg"), "-v", "error", "-i", file, "-f", "rawvideo", "-sws_flags",
-         "accurate_rnd+full_chroma_int+bicubic", "-pix_fmt", "rgb24", "-"],
+        [program("ffmpeg"), "-v", "error", *decoder, "-i", file, "-f", "rawvideo", "-sws_flags",
+         "accurate_rnd+full_chroma_int+bicubic", "-pix_fmt", {3: "rgb24", 4: "rgba"}[depth], "-"],
         capture_output=True, check=True,
     ).stdout  # fmt: skip
     return np.frombuffer(raw, np.uint8).reshape(-1, *shape)
+
+
+def decoded_clear(file):
+    """The frames of a WebM with their opacity, which FFmpeg's own decoder of VP9 leaves out."""
+    return decoded(file, 4, "-c:v", "libvpx-vp9").astype(float)
 
 
 def probe(file):
@@ -122,22 +127,17 @@ def wanted(morph):
 
 
 @pytest.mark.parametrize("name", ["out.apng", "out.webp"])
-def test_lossless_animations_are_the_frames(tmp_path, morph, name):
+def test_lossless_animations_are_the_frames(tmp_path, morph, clear, name):
     save(morph, tmp_path / name, canvas="source", lossless=True, fps=25, hold=0.5)
     frames, durations = stills(tmp_path / name)
-    assert len(frames) == 12
     for frame, want in zip(frames, wanted(morph), strict=True):
         assert np.array_equal(frame[..., :3], want)
     assert durations == [540, *[40] * 10, 540]
     with Image.open(tmp_path / name) as animation:
         assert animation.info["loop"] == 0
-
-
-@pytest.mark.parametrize("name", ["out.apng", "out.webp"])
-def test_lossless_animations_keep_opacity(tmp_path, clear, name):
+    # WebP forgets what color is under no opacity at all.
     save(clear, tmp_path / name, canvas="source", lossless=True)
     for frame, want in zip(stills(tmp_path / name)[0], wanted(clear), strict=True):
-        # WebP forgets what color is under no opacity at all.
         seen = want[..., 3:] > 0 if name == "out.webp" else True
         assert np.array_equal(frame * seen, want * seen)
 
@@ -249,22 +249,10 @@ def test_videos_have_true_colors(tmp_path, name):
 def test_odd_sizes_in_videos_are_made_even(tmp_path):
     rng = np.random.default_rng(0)
     odd = plain.morph(rng.random((7, 9, 3)), rng.random((9, 5, 3)), 3)
-    save(odd, tmp_path / "out.mp4", canvas="source")
-    told = probe(tmp_path / "out.mp4")
-    assert (told["width"], told["height"]) == (10, 8)
-    save(odd, tmp_path / "out.mp4", canvas="33x21")
-    told = probe(tmp_path / "out.mp4")
-    assert (told["width"], told["height"]) == (34, 22)
-
-
-def decoded_clear(file):
-    """The frames of a WebM with their opacity, which FFmpeg's own decoder of VP9 leaves out."""
-    shape = probe(file)["height"], probe(file)["width"], 4
-    raw = subprocess.run(
-        [program("ffmpeg"), "-v", "error", "-c:v", "libvpx-vp9", "-i", file, "-f", "rawvideo",
-         "-pix_fmt", "rgba", "-"], capture_output=True, check=True,
-    ).stdout  # fmt: skip
-    return np.frombuffer(raw, np.uint8).reshape(-1, *shape).astype(float)
+    for canvas, size in (("source", (10, 8)), ("33x21", (34, 22))):
+        save(odd, tmp_path / "out.mp4", canvas=canvas)
+        told = probe(tmp_path / "out.mp4")
+        assert (told["width"], told["height"]) == size
 
 
 def test_webm_keeps_opacity(tmp_path, clear):
@@ -569,35 +557,29 @@ def contents(path):
     return [file.read_bytes() for file in files]
 
 
-@pytest.fixture(scope="module")
-def written_before(tmp_path_factory, growing):
-    """A film's bytes in every format, each written at least two seconds ago: ZIP's unit."""
-    found = {}
-    for name in FORMATS:
-        path = place(tmp_path_factory.mktemp(name), name)
-        save(growing, path, format=name)
-        found[name] = contents(path)
-    time.sleep(2.1)
-    return found
+def test_the_same_film_gives_the_same_bytes(tmp_path, growing):
+    """In every format, also two seconds later, which is ZIP's unit."""
+    found = []
+    for pause in (2.1, 0):
+        for name in FORMATS:
+            save(growing, place(tmp_path, name, f"{pause} {name}"), format=name)
+        found.append({name: contents(place(tmp_path, name, f"{pause} {name}")) for name in FORMATS})
+        time.sleep(pause)
+    assert [name for name in FORMATS if found[0][name] != found[1][name]] == []
 
 
-@pytest.mark.in_turns
-@pytest.mark.parametrize("name", list(FORMATS))
-def test_the_same_film_gives_the_same_bytes(tmp_path, growing, written_before, name):
-    path = place(tmp_path, name)
-    save(growing, path, format=name)
-    assert contents(path) == written_before[name]
-
-
-#: Writes a film of noise in large squares, some of which change.
-SQUARES = """
-import sys
+#: What programs of a process of its own begin with.
+WRITING = """
+import pathlib, sys
 import numpy as np
 from clmorph.output.save import Output, write_all
 from clmorph.output.recording import Recording
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion
+"""
 
+#: Writes a film of noise in large squares, some of which change.
+SQUARES = f"""{WRITING}
 squares = np.random.default_rng(0).integers(0, 255, (8, 17, 22, 3), np.uint8)
 frames = list(np.kron(squares, np.ones((1, 16, 16, 1), np.uint8)))
 film = Recording(frames, [frames[0].shape] * 8, np.linspace(0, 1, 8), np.ones(8, bool),
@@ -692,24 +674,6 @@ def test_chains_with_opacity_in_one_picture(tmp_path, partly_clear, name):
         assert np.abs(error[seen]).max() <= within
 
 
-@pytest.mark.parametrize("name", list(FORMATS))
-def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, name):
-    path = place(tmp_path, name)
-    folder = name.endswith("folder")
-    if not folder:
-        path.write_text("before")
-
-    def full(*args, **options):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Recording, "picture", full)
-    monkeypatch.setattr("clmorph.output.formats.archive._write_array", full)
-    with pytest.raises(OutputError, match="No space left"):
-        save(growing, path, format=name)
-    assert [file.name for file in tmp_path.iterdir()] == ([] if folder else [path.name])
-    assert folder or path.read_text() == "before"
-
-
 @pytest.mark.in_turns
 @pytest.mark.parametrize(
     "name", ["out.gif", "out.apng", "out.webp", "out.tif", "out.npz", "out.html", "frames"]
@@ -741,16 +705,9 @@ def test_frames_are_not_held(tmp_path, monkeypatch, name):
 
 #: Writes a film of smooth frames that move, made when they are read, and tells by how many MB
 #: more memory was ever taken for many than for some.
-GROWTH = """
-import pathlib, sys
-import numpy as np
-from clmorph.output.save import Output, write_all
-from clmorph.output.recording import Recording
-from clmorph.output.formats.sheet import lengths
-from clmorph.output.formats.video import CONTAINERS
-from clmorph.output.options import FrameStyle
-from clmorph.output.playback import Motion
-
+GROWTH = (
+    WRITING
+    + """
 def most():
     status = pathlib.Path("/proc/self/status").read_text()
     return int(status.split("VmHWM:")[1].split()[0]) / 1e3
@@ -772,6 +729,7 @@ for count in map(int, counts):
     peaks.append(most())
 print(peaks[1] - peaks[0])
 """
+)
 
 
 @pytest.mark.full
@@ -845,16 +803,10 @@ def test_ffmpeg_sees_the_same_frames(tmp_path, rng, name, clear):
         frame[2:9, 2 * number : 2 * number + 9, 3] = 255
     frames = frames if clear else frames[..., :3]
     write(tmp_path / name, film_of(frames, motion=Motion(10)), canvas="source")
-    raw = subprocess.run(
-        [program("ffmpeg"), "-v", "error", "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt",
-         "rgba", "-"], capture_output=True, check=True,
-    ).stdout  # fmt: skip
-    seen = np.frombuffer(raw, np.uint8).reshape(-1, 20, 24, 4)
-    assert len(seen) == 6
+    seen = decoded(tmp_path / name, 4)
     if not clear:
         assert np.array_equal(seen[..., :3], frames)
     else:
-        assert np.array_equal(seen[..., 3], frames[..., 3])
         assert np.array_equal(seen * (seen[..., 3:] > 0), frames)
 
 
@@ -926,7 +878,6 @@ def test_refusals(tmp_path, growing, monkeypatch):
     for options, words in (
         ({"format": "mov"}, "format='mov'"),
         ({"fps": 0}, "fps=0"),
-        ({"fps": 60}, "fps=60 is too fast for"),
         ({"hold": -1}, "hold=-1"),
         ({"loop": "twice"}, "loop='twice'"),
         ({"canvas": "big"}, "canvas='big'"),

@@ -11,7 +11,7 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -396,40 +396,47 @@ def test_a_disk_that_cannot_flush_is_good_enough_and_one_that_fails_is_not(monke
     assert names() == ["22.txt"]
 
 
+@contextmanager
+def limited(size):
+    """Limit the size of files, which stands for a full disk."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
 @pytest.mark.in_turns
 @posix
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_a_full_disk_leaves_nothing(name, monkeypatch, capfd):
-    """Of every format; a limit to the size of files stands for it."""
-    resource = pytest.importorskip("resource")
-    ending = (FORMATS[name].endings or ("",))[0]
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
-    try:
+    """Of every format, and an old file stays."""
+    output = Path(f"x{(FORMATS[name].endings or ('',))[0]}")
+    if output.suffix:
+        output.write_text("old")
+    with limited(200):
         # As Python has it; a compiler that was loaded before prints where it stood.
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         # On NumPy: a driver that finds no room for what it builds is not the matter here.
         # With a preset fewer lines are printed, which the limit cuts too.
         options = "--backend", "numpy", "--preset", "photo"
-        code = run("-o", f"x{ending}", "--format", name, *options)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        code = run("-o", output, "--format", name, *options)
     out, err = capfd.readouterr()
     assert code == 2
     assert out == ""
     last = [line for line in err.splitlines() if not line.startswith(("device:", "memory:"))]
     assert len(last) == 1
     assert "cannot be written (File too large)" in last[0] or "failed" in last[0]
-    assert names() == []
+    assert names() == [output.name][: bool(output.suffix)]
+    assert not output.suffix or output.read_text() == "old"
 
 
 @posix
 def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
-    resource = pytest.importorskip("resource")
     monkeypatch.setattr("clmorph.output.recording.IN_MEMORY", 64)
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (400, before[1]))
-    try:
+    with limited(400):
         # The limit is also that of the captured lines.
         line = ["morph", "../a.png", "../b.png", "-o", "x.gif", *FEW, "--frames", "9"]
         assert main(line) == 2
@@ -438,8 +445,6 @@ def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
             spool.append(np.zeros(390, np.uint8))  # still in Python's buffer
             with pytest.raises(OutputError, match="cannot be kept on disk"):
                 spool[0]
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert "frames cannot be kept on disk" in capfd.readouterr().err.splitlines()[-1]
     assert names() == []
 
