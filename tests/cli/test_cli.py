@@ -5,20 +5,21 @@ import json
 import os
 import re
 import shlex
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from programs import COMMAND
+from refusals import REMARKS
 
 import clmorph
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.cli.main import main
+
+QUICK = ["--frames", "2", "--backend", "numpy", "--size", "6", "--blur", "0.2"]
 
 
 @pytest.fixture
@@ -112,49 +113,9 @@ def test_options_reach_the_morph(pictures, monkeypatch):
     assert {name: seen[name] for name in wanted} == wanted
 
 
-def test_a_mistake_in_a_process_of_its_own(pictures):
-    done = run("morph", "missing.png", "b.jpg", "-o", "x.gif")
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "Traceback" not in done.stderr
-
-
 def test_unconverged_is_said(pictures, capfd):
     assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3", "--max-iter", "9"]) == 0
     assert "not converged after 9 iterations" in capfd.readouterr().out
-
-
-def interrupted(*arguments, after):
-    """Send what Ctrl-C sends once a word stands on standard error; what then was told."""
-    with subprocess.Popen(
-        [COMMAND, "morph", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        told = ""
-        while after not in told:
-            line = process.stderr.readline()
-            assert line, told
-            told += line
-        time.sleep(0.5)
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate()
-    return process.returncode, out, told + err
-
-
-@pytest.mark.full
-def test_ctrl_c_leaves_nothing(pictures):
-    """In the midst of the work, through the real entry point."""
-    Image.fromarray(np.random.default_rng(0).integers(0, 255, (200, 200, 3), np.uint8)).save(
-        "c.png"
-    )
-    arguments = ["c.png", "c.png", "-o", "x.mp4", "--size", "200", "--frames", "300"]
-    before = sorted(pictures.iterdir())
-    code, out, err = interrupted(*arguments, after="device:")
-    assert code == 130
-    assert out == ""
-    assert err.splitlines()[-1] == "clmorph: interrupted, nothing was written"
-    assert "" not in err.splitlines()
-    assert "Traceback" not in err
-    assert sorted(pictures.iterdir()) == before
 
 
 def test_what_cannot_be_written_is_said_before_anything_is_solved(pictures, monkeypatch, refused):
@@ -164,7 +125,6 @@ def test_what_cannot_be_written_is_said_before_anything_is_solved(pictures, monk
     for arguments, words in (
         ("a.png b.jpg -o x.webp -o x.gif --fps 60", "--fps 60 is too fast for x.gif"),
         ("a.png b.jpg -o r.gif --recipe", "r.gif.json is a folder"),
-        ("a.png b.jpg -o a.gif -o b.webp --format gif", "--format is for one output"),
         ("a.png b.jpg void.png -o x.gif", "void.png: every pixel is transparent"),
         ("size=3.png b.jpg -o x.gif", "error: size=3.png: no such file"),
     ):
@@ -219,12 +179,7 @@ def test_demo(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr("clmorph.cli.demo.SPRITE_ZOOM", 1)
     assert main(["demo"]) == 0
     out, err = capfd.readouterr()
-    for words in (
-        "options: the defaults of clmorph morph",
-        "transport ",
-        "frames ",
-        "wrote clmorph-demo.gif",
-    ):
+    for words in ("options: the defaults of clmorph morph", "transport ", "frames ", "wrote "):
         assert words in out
     assert err.startswith("device: ")
     with Image.open("clmorph-demo.gif") as gif:
@@ -259,24 +214,6 @@ def test_options_are_checked_before_devices_are_sought(pictures, refused, monkey
     assert told.startswith("clmorph: error: --frames 0: expected")
 
 
-@pytest.mark.full
-def test_nobody_reads_on(pictures):
-    arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "2", "--backend", "numpy"]
-    with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False
-        )
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert "No space left" in done.stderr
-    piped = subprocess.run(
-        f"{COMMAND} {' '.join(arguments)} | true", shell=True, capture_output=True, check=False
-    )
-    assert b"Traceback" not in piped.stderr
-    assert b"BrokenPipe" not in piped.stderr
-    assert Path("x.gif").exists()
-
-
 @pytest.mark.needs_device
 def test_no_transport_at_all_fades(pictures, capfd):
     """A reach so small that every pair's mass underflows: the images cross-fade."""
@@ -302,13 +239,11 @@ def test_a_chain(pictures, capfd):
         assert np.array_equal(np.asarray(tour.convert("RGB")), last)
 
 
-def test_several_files_of_one_run(pictures, capfd, refused):
+def test_several_files_of_one_run(pictures, capfd):
     outputs = [word for name in ("x.gif", "x.npz", "x.html") for word in ("-o", name)]
     assert main(["morph", "a.png", "b.jpg", *outputs, "--frames", "3"]) == 0
     assert capfd.readouterr().out.startswith("x.gif, x.npz, x.html: 3 frames, ")
     assert len(clmorph.load("x.npz").frames) == 3
-    told = refused("morph", "a.png", "b.jpg", "-o", "x.gif", "-o", "./x.gif")
-    assert "two outputs have one name" in told
 
 
 def test_a_summary_for_programs(pictures, capfd):
@@ -382,9 +317,7 @@ def closed(redirections, *arguments):
 @pytest.mark.full
 def test_streams_that_are_closed(pictures):
     """What is printed is lost, and gets into no file; the file is made."""
-    arguments = ["morph", "a.png", "b.jpg", "-o", "x.npz", "--frames", 2, "--backend", "numpy"]
-    arguments += ["--size", 6, "--blur", 0.2]
-    done = closed(">&- 2>&- <&-", *arguments)
+    done = closed(">&- 2>&- <&-", "morph", "a.png", "b.jpg", "-o", "x.npz", *QUICK)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert len(clmorph.load("x.npz").frames) == 2
     for redirections in (">&-", "2>&-"):
@@ -400,20 +333,18 @@ def test_streams_that_are_closed(pictures):
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_streams_that_are_full(pictures):
     """Lost results are an error; lost notes are none."""
-    for command in ([], ["devices", "--json"], ["--help"], ["completion", "bash"]):
+    morph = ["morph", "a.png", "b.jpg", "-o", "x.png", *QUICK]
+    for command in ([], ["devices", "--json"], ["--help"], ["completion", "bash"], morph):
         done = closed(">/dev/full", *command)
         assert done.returncode == 2
-        assert done.stderr.count("\n") == 1
-        assert done.stderr.startswith("clmorph: error: ")
-        assert "No space left" in done.stderr
-    arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", 2, "--backend", "numpy"]
-    done = closed("2>/dev/full", *arguments, "--size", 6, "--blur", 0.2)
+        (line,) = [line for line in done.stderr.splitlines() if not line.startswith(REMARKS)]
+        assert line.startswith("clmorph: error: ")
+        assert "No space left" in line
+    arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", *QUICK]
+    done = closed("2>/dev/full", *arguments)
     assert done.returncode == 0
     assert done.stdout.startswith("x.gif: 2 frames")
     assert closed(">/dev/full 2>&1", *arguments, "--size", 0).returncode == 2
-
-
-QUICK = ["--frames", "2", "--backend", "numpy", "--size", "6", "--blur", "0.2"]
 
 
 def test_frames_into_the_folder_where_one_stands(pictures, monkeypatch, capfd):
@@ -504,16 +435,19 @@ def test_streams_that_lack_characters(pictures, encoding):
 @pytest.mark.full
 def test_nobody_reads_what_is_printed_at_once(pictures):
     """The same whether the pipe closes before or after."""
+    made = ["a.png", "b.jpg", "-o", "x.gif", *QUICK]
     read, write = os.pipe()
     os.close(read)
     try:
-        for arguments in (["--version"], ["completion", "zsh"]):
+        for arguments in (["--version"], ["completion", "zsh"], ["morph", *made]):
             done = subprocess.run(
                 [COMMAND, *arguments], stdout=write, stderr=subprocess.PIPE, check=False
             )
-            assert (done.returncode, done.stderr) == (0, b"")
+            assert done.returncode == 0
+            assert all(line.startswith(REMARKS) for line in done.stderr.decode().splitlines())
     finally:
         os.close(write)
+    assert Path("x.gif").exists()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no folder goes while somebody is in it")

@@ -198,6 +198,7 @@ SMALL = np.zeros((3, 4, 3))
 FAR = np.ones(64), 1e4 * np.random.default_rng(0).random((64, 5))
 LIBRARY = [
     (lambda: clmorph.lift(np.zeros(3)), "shape"),
+    (lambda: clmorph.lift(np.zeros((3, 3, 2))), "shape"),
     (lambda: clmorph.lift(np.zeros((3, 3, 5))), "shape"),
     (lambda: clmorph.lift(np.zeros((0, 3, 3))), "shape"),
     (lambda: clmorph.lift(np.zeros((3, 3, 3), np.int64)), "dtype"),

@@ -70,18 +70,10 @@ def test_what_is_not_given_is_a_state_of_its_own():
 
 @pytest.mark.parametrize("preset", [None, *PRESETS])
 def test_options_survive_a_file(preset):
-    """Options that are written to a file are read back unchanged, whatever the preset."""
     for more in (
-        {},
-        {"rho": 0.04},
-        {"epsilon": 0.01},
-        {"duration": 9.0},
-        {"reach": (0.2, None)},
-        {"max_memory": 3e9},
-        {"canvas": (9, 7)},
-        {"sample": 3},
-        {"rho": (0.1, math.inf)},
-    ):
+        {}, {"rho": 0.04}, {"epsilon": 0.01}, {"duration": 9.0}, {"reach": (0.2, None)},
+        {"max_memory": 3e9}, {"canvas": (9, 7)}, {"sample": 3}, {"rho": (0.1, math.inf)},
+    ):  # fmt: skip
         options = MorphOptions(preset=preset, **more)
         text = json.loads(json.dumps(options.outside()))
         assert MorphOptions(**options_of(text, "x")) == options
@@ -287,15 +279,9 @@ BROKEN = {
     "a.json": b'{"clmorph":"1","options":5}',
     "b.json": b'{"clmorph":"1","options":{"frames":[1]}}',
     "c.json": b'{"clmorph":"1","options":{},"images":[{"file":null}]}',
-    "d.json": b"[" * 100000,
     "e.json": b'{"a":' * 100000,
-    "f.toml": b"blur = {a=1}",
     "g.toml": b"frames = 4.7",
-    "h.toml": b"blur = true",
-    "i.toml": b"seed = true",
-    "j.toml": b"output = 5",
     "k.toml": b"reverse = 1",
-    "l.toml": b"frames = [3]",
     "m.npz": b"PK\003\004garbage",
     "n.webm": b"\x1aE\xdf\xa3 and nothing more",
     "o.mp4": b"\0\0\0\x18ftypmp42 and nothing more",
@@ -314,8 +300,6 @@ def test_broken_files_of_settings(name, refused):
 
 
 def test_a_damaged_archive(capfd, rng):
-    import clmorph
-
     assert main(["morph", "a.png", "b.png", "-o", "o.npz", "--frames", "3"]) == 0
     whole = Path("o.npz").read_bytes()
     for place in range(60, len(whole), len(whole) // 25):
@@ -342,6 +326,7 @@ def test_recipes_tell_no_folders_in_files_that_get_around(tmp_path):
     assert beside["clmorph"]
     assert beside["device"]
     assert main(["morph", "--config", "deeper/out.gif.json", "-o", "again.gif"]) == 0
+    assert Path("deeper/out.gif").read_bytes() == Path("again.gif").read_bytes()
 
 
 def test_a_picture_that_has_changed_is_noted(capfd):
@@ -375,8 +360,7 @@ def test_mistakes_in_files(refused):
     }
     for text, words in cases.items():
         Path("x.toml").write_text(text)
-        line = refused("morph", "a.png", "b.png", "-o", "o.gif", "--config", "x.toml")
-        assert any(word in line for word in words.split("|")), line
+        assert words in refused("morph", "a.png", "b.png", "-o", "o.gif", "--config", "x.toml")
     for name, words in (
         ("missing.toml", "no such file"),
         ("a.png", "holds no parameters of clmorph"),
@@ -486,17 +470,6 @@ def test_values_of_files_that_are_no_numbers(name, refused):
 def test_names_of_files_that_are_none(value, refused):
     Path("x.toml").write_text(f"output = {value}\n")
     refused("morph", "a.png", "b.png", "--config", "x.toml")
-
-
-def test_a_recipe_that_names_an_output_is_noted(capfd):
-    """The note is seen: what libraries print meanwhile is kept away, not what we do."""
-    options = {"output": "x.gif", "format": "gif", "frames": 3}
-    told = {"clmorph": "1", "options": options, "images": ["a.png", "b.png"]}
-    Path("r.json").write_text(json.dumps(told))
-    assert main(["morph", "--config", "r.json", "--dump-config"]) == 0
-    err = capfd.readouterr().err
-    for name in ("output", "format"):
-        assert f"note: r.json names its own {name}, which a recipe does not choose" in err
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no names of files there")
