@@ -14,8 +14,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from browsers import watched
 from PIL import Image
-from programs import program
 
 import clmorph
 from clmorph.batch import workers
@@ -395,6 +395,11 @@ def test_barycenters(client):
         clmorph.batch.barycenters(groups[:1], client=client, **options, max_iter=1)
 
 
+#: The columns that every table has, and a job in JSON but for its end.
+COLUMNS = "source,target,output"
+JOB = '[{"source": "a", "target": "b", "output": "c.gif"'
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
@@ -404,7 +409,7 @@ def test_barycenters(client):
         ("a.csv", "source,target,output,blurr\n", "line 1: unknown option 'blurr'; did you mean"),
         ("a.csv", "source,target,output,blur,blur\n", "line 1: two columns 'blur'"),
         ("a.csv", "source,target,output,color-weight,color_weight\n", "two columns 'color_weight'"),
-        ("a.csv", "source,target,output,source-labels\na,b,c.gif,d\n", "expected both"),
+        ("a.csv", f"{COLUMNS},source-labels\na,b,c.gif,d\n", "line 2: expected both source_labels"),
         ("a.csv", "source,target,output\na,b,index.html\n", "a file of the batch itself"),
         ("a.csv", "source,target,output\na,b,c.gif,d\n", "line 2: more values than the 3"),
         ("a.csv", "source,target,output\na,b\n", "line 2: fewer values than the 3"),
@@ -424,29 +429,13 @@ def test_barycenters(client):
         ("a.json", "[3]", "entry 1: 3: expected an object"),
         ("a.json", '[{"source": 1, "target": "b", "output": "c.gif"}]', "entry 1: source = 1"),
         ("a.json", '[{"source": "a", "target": "b"}]', "entry 1: no column output"),
-        (
-            "a.json",
-            '[{"source": "a", "target": "b", "output": "c.gif", "frames": 2.5}]',
-            "entry 1: frames = 2.5: expected a whole number",
-        ),
-        (
-            "a.csv",
-            "source,target,output,source_labels\na,b,c.gif,d.png\n",
-            "line 2: expected both source_labels and target_labels, or none",
-        ),
-        (
-            "a.json",
-            '[{"source": "a", "target": "b", "output": "c.gif", "source_features": 3}]',
-            "entry 1: source_features = 3: expected a text",
-        ),
-        (
-            "a.csv",
-            "source,target,output,source_labels,target_labels\na,b,c.gif,d.png,out/c.gif\n",
-            "would replace a picture",
-        ),
+        ("a.json", JOB + ', "frames": 2.5}]', "frames = 2.5: expected a whole number"),
+        ("a.json", JOB + ', "source_features": 3}]', "source_features = 3: expected a text"),
+        ("a.csv", f"{COLUMNS},source_labels,target_labels\na,b,c.gif,d,out/c.gif\n",
+         "would replace a picture"),
         ("a.txt", "", "expected a table of jobs: .csv or .json"),
     ],
-)
+)  # fmt: skip
 def test_tables_that_are_wrong(tmp_path, refused, name, text, words):
     path = tmp_path / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
@@ -625,26 +614,17 @@ def test_drivers_of_one_processor_are_one_device(monkeypatch):
 
 
 @pytest.mark.full
-def test_the_index_in_a_browser(tmp_path):
+def test_the_index_in_a_browser(browser, tmp_path):
     """A click on a heading sorts by numbers, and by falling ones at the second click."""
-    path = program("chromium")
-    from playwright.sync_api import sync_playwright
-
     given = [
         {"output": str(tmp_path / name), "status": "done", "seconds": seconds, "line": "<b>&"}
         for name, seconds in (("x.gif", 9.5), ("<i>.gif", 10.25), ("y#1.gif", 0.5))
     ]
     given.append({"output": str(tmp_path / "z.gif"), "status": "failed", "line": "why"})
-    page_text = index_page(str(tmp_path), given)
-    (tmp_path / "index.html").write_text(page_text)
+    (tmp_path / "index.html").write_text(index_page(str(tmp_path), given))
     (tmp_path / "y#1.gif").write_bytes(b"GIF89a")
-    with sync_playwright() as driver:
-        flags = ["--no-sandbox", "--disable-gpu"]
-        browser = driver.chromium.launch(executable_path=path, args=flags)
-        page = browser.new_page()
-        troubles = []
-        page.on("console", lambda message: troubles.append(message.text))
-        page.goto((tmp_path / "index.html").as_uri())
+    with watched(browser) as (open_page, troubles):
+        page = open_page((tmp_path / "index.html").as_uri(), [tmp_path.as_uri()])
         first = page.locator("tbody tr td:first-child")
         page.get_by_role("button", name="seconds").click()
         assert first.all_inner_texts() == ["y#1.gif", "x.gif", "<i>.gif", "z.gif"]
@@ -652,7 +632,6 @@ def test_the_index_in_a_browser(tmp_path):
         assert first.all_inner_texts() == ["<i>.gif", "x.gif", "y#1.gif", "z.gif"]
         link = page.get_by_role("link", name="y#1.gif").evaluate("link => link.href")
         assert link == (tmp_path / "y#1.gif").as_uri()
-        browser.close()
     assert troubles == []
 
 

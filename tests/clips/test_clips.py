@@ -19,7 +19,9 @@ SINE = ["-f", "lavfi", "-i", "sine=d=2"]
 
 
 def ffmpeg(*arguments):
-    subprocess.run(["ffmpeg", "-v", "error", "-y", *map(str, arguments)], check=True)
+    """Run FFmpeg; return what it writes to standard output."""
+    command = ["ffmpeg", "-v", "error", "-y", *map(str, arguments)]
+    return subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout
 
 
 def asked(path, entries, stream="v"):
@@ -32,21 +34,7 @@ def asked(path, entries, stream="v"):
 
 
 def sound_of(path):
-    command = [
-        "ffmpeg",
-        "-v",
-        "error",
-        "-i",
-        str(path),
-        "-map",
-        "0:a",
-        "-c",
-        "copy",
-        "-f",
-        "md5",
-        "-",
-    ]
-    return subprocess.run(command, capture_output=True, check=True).stdout
+    return ffmpeg("-i", path, "-map", "0:a", "-c", "copy", "-f", "md5", "-")
 
 
 def copied(source, target, container="mp4", change=lambda pixels: pixels):
@@ -67,9 +55,8 @@ def copied(source, target, container="mp4", change=lambda pixels: pixels):
 
 def decoded(path, size):
     """Frames as the system's ffmpeg decodes them: (n, H, W, 3) array."""
-    command = ["ffmpeg", "-v", "error", "-i", str(path), "-vsync", "passthrough"]
-    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    found = subprocess.run([*command, *raw], capture_output=True, check=True).stdout
+    raw = "-f", "rawvideo", "-pix_fmt", "rgb24", "-"
+    found = ffmpeg("-i", path, "-vsync", "passthrough", *raw)
     return np.frombuffer(found, np.uint8).reshape(-1, size[1], size[0], 3)
 
 
@@ -167,18 +154,14 @@ def test_a_recording_that_begins_late_is_written_from_zero_with_its_sound(tmp_pa
     source, target = tmp_path / "in.ts", tmp_path / "out.mp4"
     ffmpeg(*PICTURE, *SINE, "-pix_fmt", "yuv420p", "-c:v", "libx264", "-c:a", "mp2", source)
     copied(source, target)
-    starts = {}
-    for path in (source, target):
-        for stream in ("v", "a"):
-            starts[path, stream] = float(asked(path, "stream=start_time", stream)[0])
+    starts = {
+        (path, stream): float(asked(path, "stream=start_time", stream)[0])
+        for path in (source, target) for stream in "va"
+    }  # fmt: skip
     assert starts[source, "v"] > 1
     assert min(starts[target, "v"], starts[target, "a"]) < 0.05
     apart = [starts[path, "v"] - starts[path, "a"] for path in (source, target)]
     assert abs(apart[0] - apart[1]) < 0.01
-
-
-def cut(path, share, target):
-    target.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
 
 
 @pytest.mark.parametrize("ending", ["mp4", "mkv", "webm"])
@@ -187,7 +170,8 @@ def test_a_clip_that_ends_early_is_refused(tmp_path, ending):
     more = ["-movflags", "+faststart"] if ending == "mp4" else []
     more += ["-c:v", "libvpx"] if ending == "webm" else []
     ffmpeg(*PICTURE, "-pix_fmt", "yuv420p", *more, whole)
-    cut(whole, 0.6, broken)
+    data = whole.read_bytes()
+    broken.write_bytes(data[: int(0.6 * len(data))])
     with Clip(whole) as clip:
         assert len(list(clip.frames())) == 20
     with Clip(broken) as clip, pytest.raises(FileError, match=r"damaged after [01]\.\d s") as error:
@@ -196,14 +180,11 @@ def test_a_clip_that_ends_early_is_refused(tmp_path, ending):
 
 
 def test_files_that_are_no_clips_are_refused(tmp_path):
-    made = {
-        name: tmp_path / name for name in ("pq.mp4", "sound.mp4", "none.mp4", "text.mp4", "l.m3u8")
-    }
-    ffmpeg(*PICTURE, "-pix_fmt", "yuv420p10le", "-color_trc", "smpte2084", made["pq.mp4"])
-    ffmpeg(*SINE, made["sound.mp4"])
-    ffmpeg(*PICTURE, "-frames:v", "0", "-pix_fmt", "yuv420p", made["none.mp4"])
-    made["text.mp4"].write_text("text")
-    made["l.m3u8"].write_text("#EXTM3U\n#EXTINF:1,\nsound.mp4\n#EXT-X-ENDLIST\n")
+    ffmpeg(*PICTURE, "-pix_fmt", "yuv420p10le", "-color_trc", "smpte2084", tmp_path / "pq.mp4")
+    ffmpeg(*SINE, tmp_path / "sound.mp4")
+    ffmpeg(*PICTURE, "-frames:v", "0", "-pix_fmt", "yuv420p", tmp_path / "none.mp4")
+    (tmp_path / "text.mp4").write_text("text")
+    (tmp_path / "l.m3u8").write_text("#EXTM3U\n#EXTINF:1,\nsound.mp4\n#EXT-X-ENDLIST\n")
     words = {
         "pq.mp4": "high dynamic range", "sound.mp4": "sound without a picture",
         "none.mp4": "no ", "text.mp4": "not a readable clip", "l.m3u8": "not a readable clip",
@@ -213,13 +194,9 @@ def test_files_that_are_no_clips_are_refused(tmp_path):
         with pytest.raises(FileError, match=what) as error:
             Clip(tmp_path / name)
         assert "\n" not in str(error.value)
+    ffmpeg(*PICTURE, "-pix_fmt", "yuv420p", tmp_path / "plain.mp4")
     with pytest.raises(FileError, match="expected at most 5000"):
-        Clip(made_plain(tmp_path), 5000)
-
-
-def made_plain(folder):
-    ffmpeg(*PICTURE, "-pix_fmt", "yuv420p", folder / "plain.mp4")
-    return folder / "plain.mp4"
+        Clip(tmp_path / "plain.mp4", 5000)
 
 
 def test_sound_that_a_container_cannot_hold_is_named(tmp_path):

@@ -137,11 +137,19 @@ def previewed(page):
     )
 
 
-def same_by(page, which, folder, paths, output):
+def after(page, action):
+    """Do something that changes a preview, and wait for the last one."""
+    number = page.evaluate("studio.state.number")
+    action()
+    until(page, f"studio.state.number > {number}")
+    previewed(page)
+
+
+def same_by(page, which, folder, pictures, output, painted=()):
     """Run the copied command or Python code in a folder with some files; return what it writes."""
     folder.mkdir()
-    for path, name in paths:
-        (folder / name).write_bytes(path if isinstance(path, bytes) else path.read_bytes())
+    for data, name in (*((path.read_bytes(), path.name) for path in pictures), *painted):
+        (folder / name).write_bytes(data)
     text = page.input_value(f"#{which}")
     if which == "python":
         command = [sys.executable, "-c", text]

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from PIL import Image
-from studio_pages import fetched, fill, frame, previewed, run, same_by, take, until
+from studio_pages import after, fetched, fill, frame, previewed, run, same_by, take, until
 
 import clmorph
 from clmorph.studio.making import unmatched_shares
@@ -16,20 +16,21 @@ from clmorph.studio.painting import LEVEL, read_painted
 
 def stroke(page, side, start, end):
     """Paint a line on a picture, from and to shares of its box, and wait for the preview."""
-    number = page.evaluate("studio.state.number")
     box = page.locator("#shown .frame").nth(side).bounding_box()
     ends = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in (start, end)]
-    page.mouse.move(*ends[0])
-    page.mouse.down()
-    page.mouse.move(*ends[1], steps=5)
-    page.mouse.up()
-    until(page, f"studio.state.number > {number}")
-    previewed(page)
+
+    def drawn():
+        page.mouse.move(*ends[0])
+        page.mouse.down()
+        page.mouse.move(*ends[1], steps=5)
+        page.mouse.up()
+
+    after(page, drawn)
 
 
-def files_of(page, pictures):
-    """The pictures, and the files with painted regions that the page offers, with their names."""
-    found = [(path, path.name) for path in pictures]
+def painted_files(page):
+    """The files with painted regions that the page offers, with their names."""
+    found = []
     for link in page.locator("#painted-files a").all():
         with page.expect_download() as download:
             link.click()
@@ -50,9 +51,8 @@ def test_kinds_of_work(opened, pictures, place):
     fill(page, size="24", frames="5")
     run(page)
     assert page.evaluate("studio.state.view.contentWindow.clmorph.times.length") == 5
-    own = [(path, path.name) for path in pictures]
     gif = fetched(page, "gif")
-    assert same_by(page, "command", place / "rearranged", own, "rearranged.gif") == gif
+    assert same_by(page, "command", place / "rearranged", pictures, "rearranged.gif") == gif
     # What a run has made is not offered under another tab.
     page.click("#kind-recolor")
     assert not page.is_visible("#downloads")
@@ -62,12 +62,13 @@ def test_kinds_of_work(opened, pictures, place):
     assert page.get_attribute("#views img.result", "src") != plain
     run(page)
     png = fetched(page, "png")
-    given = files_of(page, pictures)
-    assert [name for _, name in given[2:]] == ["a one's-mask.png"]
+    painted = painted_files(page)
+    assert [name for _, name in painted] == ["a one's-mask.png"]
     for which in ("command", "python"):
-        assert same_by(page, which, place / f"recolored-{which}", given, "recolored.png") == png
+        folder = place / f"recolored-{which}"
+        assert same_by(page, which, folder, pictures, "recolored.png", painted) == png
     before, after = (np.asarray(Image.open(each)) for each in (pictures[0], io.BytesIO(png)))
-    mask = np.asarray(Image.open(io.BytesIO(given[2][0]))) > 0
+    mask = np.asarray(Image.open(io.BytesIO(painted[0][0]))) > 0
     assert 0 < mask.sum() < mask.size
     changed = (before != after).any(axis=-1)
     assert changed[mask].any()
@@ -82,7 +83,7 @@ def test_kinds_of_work(opened, pictures, place):
     run(page)
     sheet = fetched(page, "png")
     for which in ("command", "python"):
-        assert same_by(page, which, place / f"mixes-{which}", own, "mixes.png") == sheet
+        assert same_by(page, which, place / f"mixes-{which}", pictures, "mixes.png") == sheet
     assert Image.open(io.BytesIO(sheet)).width == 3 * 24
     recipe = json.loads(fetched(page, "json"))
     assert (recipe["command"], recipe["grid"]) == ("mix", "3")
@@ -105,10 +106,11 @@ def test_painted_regions_go_into_each_other(opened, pictures, place):
     fill(page, frames="4", size="32")
     run(page)
     assert "2 labels" in page.inner_text("#status")
-    gif, given = fetched(page, "gif"), files_of(page, pictures)
-    assert [name for _, name in given[2:]] == ["a one's-labels.png", "b-labels.png"]
+    gif, labels = fetched(page, "gif"), painted_files(page)
+    assert [name for _, name in labels] == ["a one's-labels.png", "b-labels.png"]
     for which in ("command", "python"):
-        assert same_by(page, which, place / f"labels-{which}", given, "morph.gif") == gif
+        folder = place / f"labels-{which}"
+        assert same_by(page, which, folder, pictures, "morph.gif", labels) == gif
     # A change afterwards is said beside the files; they are still those of the run.
     assert not page.is_visible("#stale")
     fill(page, frames="5")
@@ -238,7 +240,7 @@ def test_waiting_work_keeps_the_paint_that_it_was_asked_with(opened, pictures):
     busy.click("#run")
     page.click("#run")
     until(page, "document.getElementById('status').textContent.startsWith('waiting')")
-    (first,) = files_of(page, [])
+    (first,) = painted_files(page)
     box = page.locator("#shown .frame").nth(0).bounding_box()
     page.mouse.move(box["x"] + 10, box["y"] + 0.8 * box["height"])
     page.mouse.down()
@@ -249,6 +251,6 @@ def test_waiting_work_keeps_the_paint_that_it_was_asked_with(opened, pictures):
     recipe = json.loads(fetched(page, "json"))
     assert recipe["mask"][0]["file"] == before
     assert recipe["mask"][0]["sha256"] == hashlib.sha256(first[0]).hexdigest()
-    (second,) = files_of(page, [])
+    (second,) = painted_files(page)
     assert second[0] != first[0]
     assert busy.evaluate("studio.state.kind.name") == "morph"

@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
-from studio_pages import fetched, fill, previewed, run, same_by, take, until
+from studio_pages import after, fetched, fill, previewed, run, same_by, take, until
 
 
 @pytest.mark.full
@@ -36,10 +36,8 @@ def test_pasted_pictures_and_landmarks_that_are_moved(opened, pictures):
     moved = page.evaluate("studio.landmarks.pairs()[0][0]")
     assert moved[0] - before[0] == pytest.approx(40 / box["width"] * 60, abs=0.3)
     assert moved[1] - before[1] == pytest.approx(15 / box["height"] * 48, abs=0.3)
-    number = page.evaluate("studio.state.number")
     page.get_by_role("button", name="Landmark 1 in B").focus()
-    page.keyboard.press("ArrowRight")
-    until(page, f"studio.state.number > {number}")
+    after(page, lambda: page.keyboard.press("ArrowRight"))
     assert "--landmark" in page.input_value("#command")
     page.keyboard.press("Delete")
     previewed(page)
@@ -64,8 +62,7 @@ def test_a_chain_and_all_its_files(opened, pictures, place):
     previewed(page)
     run(page)
     assert page.evaluate("studio.state.view.contentWindow.clmorph.times.length") == 5
-    own = [(path, path.name) for path in chain]
-    assert same_by(page, "command", place / "chain", own, "morph.gif") == fetched(page, "gif")
+    assert same_by(page, "command", place / "chain", chain, "morph.gif") == fetched(page, "gif")
     with Image.open(io.BytesIO(fetched(page, "webp"))) as film:
         assert film.n_frames == 5
     assert fetched(page, "html").startswith(b"<!doctype html>")
@@ -88,8 +85,7 @@ def test_the_command_is_that_of_a_run_whose_result_comes_before_its_answer(opene
     fill(page, size="24", frames="3")
     run(page)
     assert "--frames 3" in page.input_value("#command")
-    own = [(path, path.name) for path in pictures]
-    assert same_by(page, "command", place / "late", own, "morph.gif") == fetched(page, "gif")
+    assert same_by(page, "command", place / "late", pictures, "morph.gif") == fetched(page, "gif")
 
 
 @pytest.mark.full

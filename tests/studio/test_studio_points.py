@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from sights import photograph
-from studio_pages import fetched, fill, previewed, run, same_by, take, until
+from studio_pages import after, fetched, fill, previewed, run, same_by, take, until
 
 import clmorph
 from clmorph.frames.frame_renderer import FrameRenderer
@@ -26,14 +26,6 @@ def portraits(place):
         paths.append(place / name)
         Image.fromarray((255 * picture).astype(np.uint8)).save(paths[-1])
     return paths
-
-
-def after(page, action):
-    """Do something that changes a preview, and wait for the last one."""
-    number = page.evaluate("studio.state.number")
-    action()
-    until(page, f"studio.state.number > {number}")
-    previewed(page)
 
 
 def pairs(page):
@@ -55,9 +47,8 @@ def test_found_points_are_shown_moved_removed_and_found_again(opened, portraits,
     fill(page, size="32", frames="3")
     run(page)
     gif = fetched(page, "gif")
-    own = [(path, path.name) for path in portraits]
-    assert same_by(page, "command", place / "found", own, "morph.gif") == gif
-    assert same_by(page, "python", place / "found-python", own, "morph.gif") == gif
+    for which in ("command", "python"):
+        assert same_by(page, which, place / f"found-{which}", portraits, "morph.gif") == gif
     assert len(json.loads(fetched(page, "json"))["options"]["landmark"]) == len(found)
     # One is removed, one moved: then the command names them.
     page.get_by_role("button", name="Landmark 1 in A", exact=False).first.focus()
@@ -97,13 +88,11 @@ def test_points_are_set_in_single_pixels_of_an_enlarged_picture(opened, place):
     page.mouse.click(x, y)
     page.locator("#shown .frame").nth(1).click(position={"x": 30, "y": 30})
     ((point, _),) = pairs(page)
-    wanted = [
-        (x - box["x"]) / box["width"] * 1200 - 0.5,
-        (y - box["y"]) / box["height"] * 900 - 0.5,
-    ]
-    assert 40 * box["width"] / 1200 > 150
+    unit = box["width"] / 1200
+    assert 40 * unit > 150
+    wanted = (x - box["x"]) / unit - 0.5, (y - box["y"]) / unit - 0.5
     assert point == pytest.approx(wanted, abs=0.5)
-    page.mouse.click(x + 12 * box["width"] / 1200, y)
+    page.mouse.click(x + 12 * unit, y)
     page.locator("#shown .frame").nth(1).click(position={"x": 60, "y": 30})
     assert pairs(page)[1][0][0] - point[0] == pytest.approx(12.0, abs=0.5)
 
@@ -202,8 +191,7 @@ def test_a_still_is_the_frame_that_the_film_shows(opened, pictures):
     still = np.asarray(Image.open(io.BytesIO(fetched(page, "still"))).convert("RGB"))
     images = [clmorph.read_image(path) for path in pictures]
     preset = page.inner_text("#preset-help").split()[3].rstrip(":")
-    device = "auto"
-    morph = clmorph.morph(*images, size=24, n_frames=5, preset=preset, backend=device)
+    morph = clmorph.morph(*images, size=24, n_frames=5, preset=preset)
     wanted = np.rint(255 * np.clip(morph.frame(shown), 0, 1))
     assert still.shape == wanted.shape
     assert np.abs(still - wanted).max() <= 2
