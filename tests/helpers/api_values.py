@@ -472,37 +472,23 @@ def _picture(value: float = 0.5) -> Any:
     return np.full((3, 3, 3), value)
 
 
+def _always(values: dict[str, Any]) -> dict[str, Callable[[], Any]]:
+    return {name: lambda value=value: value for name, value in values.items()}
+
+
 #: Each makes a value: generators serve once, and lists could be changed.
 NASTY: dict[str, Callable[[], Any]] = {
-    "None": lambda: None,
-    "True": lambda: True,
-    "np.False_": lambda: np.False_,
-    "0": lambda: 0,
-    "-0.0": lambda: -0.0,
-    "-1": lambda: -1,
-    "0.5": lambda: 0.5,
-    "3": lambda: 3,
-    "1e-300": lambda: 1e-300,
-    "1e300": lambda: 1e300,
-    "nan": lambda: float("nan"),
-    "inf": lambda: float("inf"),
-    "-inf": lambda: float("-inf"),
-    "10**400": lambda: 10**400,
-    "-10**5000": lambda: -(10**5000),
-    "1j": lambda: 1j,
-    "Decimal 0.5": lambda: Decimal("0.5"),
-    "Decimal 2": lambda: Decimal(2),
-    "Decimal NaN": lambda: Decimal("NaN"),
-    "Decimal sNaN": lambda: Decimal("sNaN"),
-    "Decimal 1e999": lambda: Decimal("1e999"),
-    "Fraction 1/2": lambda: Fraction(1, 2),
-    "Fraction 10**400": lambda: Fraction(10**400, 3),
-    "float32": lambda: np.float32(0.5),
-    "float16": lambda: np.float16(0.5),
-    "longdouble": lambda: np.longdouble(0.5),
-    "int64": lambda: np.int64(2),
-    "uint8": lambda: np.uint8(2),
-    "timedelta": lambda: np.timedelta64(5),
+    **_always({
+        "None": None, "True": True, "np.False_": np.False_, "0": 0, "-0.0": -0.0, "-1": -1,
+        "0.5": 0.5, "3": 3, "1e-300": 1e-300, "1e300": 1e300, "nan": float("nan"),
+        "inf": float("inf"), "-inf": float("-inf"), "10**400": 10**400, "-10**5000": -(10**5000),
+        "1j": 1j, "Decimal 0.5": Decimal("0.5"), "Decimal 2": Decimal(2),
+        "Decimal NaN": Decimal("NaN"), "Decimal sNaN": Decimal("sNaN"),
+        "Decimal 1e999": Decimal("1e999"), "Fraction 1/2": Fraction(1, 2),
+        "Fraction 10**400": Fraction(10**400, 3), "float32": np.float32(0.5),
+        "float16": np.float16(0.5), "longdouble": np.longdouble(0.5), "int64": np.int64(2),
+        "uint8": np.uint8(2), "timedelta": np.timedelta64(5),
+    }),
     "0-d 3": lambda: np.array(3),
     "0-d 0.5": lambda: np.array(0.5),
     "0-d text": lambda: np.array("0.5"),
@@ -516,16 +502,11 @@ NASTY: dict[str, Callable[[], Any]] = {
     "pair with None": lambda: (0.3, None),
     "pair of texts": lambda: ("x", "y"),
     "triple": lambda: [1, 2, 3],
-    "empty text": lambda: "",
-    "x": lambda: "x",
-    "text": lambda: "no such text",
-    "0.5 as text": lambda: "0.5",
-    "auto": lambda: "auto",
-    "escape": lambda: "a\nb\x1b[31m\x00",
-    "surrogate": lambda: "\ud800",
-    "long text": lambda: "y" * 5000,
-    "bytes": lambda: b"",
-    "path": lambda: Path("x.png"),
+    **_always({
+        "empty text": "", "x": "x", "text": "no such text", "0.5 as text": "0.5", "auto": "auto",
+        "escape": "a\nb\x1b[31m\x00", "surrogate": "\ud800", "long text": "y" * 5000,
+        "bytes": b"", "path": Path("x.png"),
+    }),
     "empty list": lambda: [],
     "empty dict": lambda: {},
     "dict": lambda: {"a": 1, 2: object()},
@@ -580,7 +561,7 @@ NASTY: dict[str, Callable[[], Any]] = {
     "own potentials": lambda: examples()["potentials"],
     "own plan": lambda: examples()["plan"],
     "own morph": lambda: examples()["morph"],
-}
+}  # fmt: skip
 
 
 #: Values that every argument meets in the quick run.

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from clmorph.images.detail import is_pixel_art
-from clmorph.output.framing import (
-    FrameStyle,
-    Framing,
-    enlargement_note,
-    in_time,
-)
+from clmorph.output.framing import FrameStyle, Framing, enlargement_note, in_time
 from clmorph.output.options import as_canvas
 from clmorph.output.recording import Spool
 
 SHAPES = [(6, 8, 3), (9, 8, 3), (12, 8, 3)]
+
+
+def framed(frame, pixelated=False, **look):
+    """A frame on a canvas, as an array."""
+    return np.asarray(Framing(FrameStyle(**look), [frame.shape], pixelated)(frame))
 
 
 def test_sizes():
@@ -30,8 +30,7 @@ def test_sizes():
 def test_a_frame_of_the_canvas_size_is_left_alone(rng):
     frame = rng.integers(0, 256, (6, 8, 3), np.uint8)
     for scaling in ("nearest", "smooth"):
-        framing = Framing(FrameStyle(canvas="source", scaling=scaling), SHAPES, False)
-        assert np.array_equal(np.asarray(framing(frame)), frame)
+        assert np.array_equal(framed(frame, canvas="source", scaling=scaling), frame)
 
 
 def test_an_odd_border_is_repeated(rng):
@@ -47,35 +46,28 @@ def test_an_odd_border_is_repeated(rng):
 
 def test_nearest_makes_squares_and_smooth_does_not(rng):
     frame = rng.integers(0, 256, (6, 8, 3), np.uint8)
-    squares = np.asarray(Framing(FrameStyle(canvas="80x60"), SHAPES, True)(frame))
+    squares = framed(frame, True, canvas="80x60")
     assert np.array_equal(squares, np.kron(frame, np.ones((10, 10, 1))))
-    smooth = np.asarray(Framing(FrameStyle(canvas="80x60"), SHAPES, False)(frame))
+    smooth = framed(frame, canvas="80x60")
     assert len(np.unique(smooth.reshape(-1, 3), axis=0)) > 48
-    forced = np.asarray(
-        Framing(FrameStyle(canvas="80x60", scaling="nearest"), SHAPES, False)(frame)
-    )
-    assert np.array_equal(forced, squares)
+    assert np.array_equal(framed(frame, canvas="80x60", scaling="nearest"), squares)
 
 
 def test_pixels_of_pixel_art_stay_squares_of_one_size(rng):
     """Between the ends frames fit the canvas by no whole factor."""
     frame = rng.integers(1, 256, (6, 7, 3), np.uint8)
-    for look, opaque in (
-        (FrameStyle(canvas="40x30"), True),
-        (FrameStyle(canvas="40x30", background="#000102"), True),
-        (FrameStyle(canvas="40x30"), False),
+    clear = np.dstack((frame, np.full((6, 7), 255, np.uint8)))
+    for own, background, ground in (
+        (frame, None, [0] * 3), (frame, "#000102", [0, 1, 2]), (clear, None, [0] * 4),
     ):  # fmt: skip
-        own = frame if opaque else np.dstack((frame, np.full((6, 7), 255, np.uint8)))
-        picture = np.asarray(Framing(look, [own.shape], True)(own))
-        inner = picture[:, 2:37]
-        assert np.array_equal(inner, np.kron(own, np.ones((5, 5, 1))))
-        ground = ([0, 1, 2] if look.background else [0, 0, 0]) if opaque else [0] * 4
+        picture = framed(own, True, canvas="40x30", background=background)
+        assert np.array_equal(picture[:, 2:37], np.kron(own, np.ones((5, 5, 1))))
         assert np.all(picture[:, :2] == ground)
         assert np.all(picture[:, 37:] == ground)
     even = np.asarray(Framing(FrameStyle(canvas="39x29"), [frame.shape], True, even=True)(frame))
     assert even.shape == (30, 40, 3)
     assert np.count_nonzero(even) == (4 * 6) * (4 * 7) * 3
-    smooth = np.asarray(Framing(FrameStyle(canvas="40x30"), [frame.shape], False)(frame))
+    smooth = framed(frame, canvas="40x30")
     assert np.count_nonzero(smooth.any(-1).any(0)) == 35  # as large as fits
 
 
@@ -87,20 +79,17 @@ def test_shapes_are_put_in_the_order_of_time():
 
 def test_bars_and_backgrounds():
     white = np.full((6, 8, 3), 255, np.uint8)
-    black = np.asarray(Framing(FrameStyle(canvas="16x6"), SHAPES, False)(white))
+    black = framed(white, canvas="16x6")
     assert np.array_equal(black[0, :, 0], [0] * 4 + [255] * 8 + [0] * 4)
-    blue = Framing(FrameStyle(canvas="16x6", background="#0000ff"), SHAPES, False)
-    assert np.asarray(blue(np.full((6, 8, 3), 9, np.uint8)))[0, 0].tolist() == [0, 0, 255]
+    assert framed(white, canvas="16x6", background="#0000ff")[0, 0].tolist() == [0, 0, 255]
     clear = np.zeros((6, 8, 4), np.uint8)
     clear[2:4, 2:4] = 200, 10, 10, 255
-    shapes = [clear.shape]
-    kept = np.asarray(Framing(FrameStyle(canvas="source"), shapes, False)(clear))
-    assert np.array_equal(kept, clear)
+    assert np.array_equal(framed(clear, canvas="source"), clear)
     for look, opacity, ground in (
         (FrameStyle(canvas="source"), False, 255),
         (FrameStyle(canvas="source", background="black"), True, 0),
     ):  # fmt: skip
-        framing = Framing(look, shapes, False, opacity=opacity)
+        framing = Framing(look, [clear.shape], False, opacity=opacity)
         flat = np.asarray(framing(clear))
         assert not framing.clear
         assert flat.shape == (6, 8, 3)
@@ -112,7 +101,7 @@ def test_unseen_colors_do_not_bleed_when_enlarged():
     clear = np.zeros((4, 4, 4), np.uint8)
     clear[..., 1] = 255  # green, and not there
     clear[1:3, 1:3] = 255, 0, 0, 255
-    large = np.asarray(Framing(FrameStyle(canvas="40x40"), [clear.shape], False)(clear))
+    large = framed(clear, canvas="40x40")
     seen = large[large[..., 3] > 10]
     assert seen[:, 1].max() < 30
 
@@ -157,11 +146,9 @@ def test_a_canvas_that_enlarges_all_frames_is_noted():
         "frames of up to 256x256 pixels are enlarged 2.8 times to fit the canvas of 1280x720; for "
         "sharper frames, which take longer, add --size 720"
     )
-    small = enlargement_note(FrameStyle(canvas="1280x720"), shapes, False, 300)
-    assert "the pictures themselves have no more pixels" in small
-    assert "the pictures themselves" in enlargement_note(
-        FrameStyle(canvas="1280x720"), shapes, False, None
-    )
+    for size in (300, None):
+        small = enlargement_note(FrameStyle(canvas="1280x720"), shapes, False, size)
+        assert "the pictures themselves have no more pixels" in small
     for style, pixelated in (
         (FrameStyle(canvas="1280x720"), True),
         (FrameStyle(canvas="1280x720", scaling="nearest"), False),
@@ -179,13 +166,9 @@ def test_figures_with_opacity_have_no_rim(color, factor):
     alpha = np.clip((14 - np.hypot(x - 19.5, y - 19.5)) + 0.5, 0, 1)
     frame = np.dstack((*(np.full((40, 40), each) for each in color), np.rint(255 * alpha)))
     frame[frame[..., 3] == 0] = 0
-    side = round(40 * factor)
-    framing = Framing(FrameStyle(canvas=(side, side), scaling="smooth"), [(40, 40, 4)], False)
-    made = np.asarray(framing(frame.astype(np.uint8))).astype(int)
+    frame, look = frame.astype(np.uint8), {"canvas": (round(40 * factor),) * 2, "scaling": "smooth"}
+    made = framed(frame, **look).astype(int)
     seen = made[..., 3] > 0
     assert seen.any()
     assert np.abs(made[seen][:, :3] - color).max() <= 2
-    ground = Framing(
-        FrameStyle(canvas=(side, side), scaling="smooth", background="black"), [(40, 40, 4)], False
-    )
-    assert np.all(np.asarray(ground(frame.astype(np.uint8))) <= np.array(color) + 2)
+    assert np.all(framed(frame, **look, background="black") <= np.array(color) + 2)

@@ -12,6 +12,7 @@ from PIL import Image
 import clmorph
 from clmorph._shared import notebook
 from clmorph._shared.notebook import CELLS, interval, table
+from clmorph.analysis.figures import check_plotting
 from clmorph.errors import OutputError
 
 
@@ -150,8 +151,10 @@ def test_an_inspection_without_matplotlib_shows_its_numbers(pair, monkeypatch):
 
     monkeypatch.setattr("clmorph.analysis.figures.importlib.import_module", missing)
     assert found._repr_html_().startswith("<pre>source")
-    with pytest.raises(OutputError, match=r'pip install "clmorph\[plot\]"'):
-        found.plot()
+    for draw in (found.plot, lambda: found.save("report.png"), check_plotting):
+        with pytest.raises(OutputError, match=r'pip install "clmorph\[plot\]"') as caught:
+            draw()
+        assert "\n" not in str(caught.value)
 
 
 def test_small_pictures_are_enlarged_as_squares():
