@@ -147,15 +147,18 @@ def _any_queue() -> Any:
     return clmorph.get_backend(usable[0] if usable else "numpy")
 
 
-#: Options that `morph` and its like share.
+#: Options that several functions share.
 STRENGTHS = {"blur": 0.05, "reach": 0.3, "epsilon": None, "rho": None}
 SOLVER = {"tol": 1e-3, "max_iter": 2000}
 WIDTHS = {"sigma_start": 1.2, "sigma_end": 0.5, "gamma": 0.5}
-LIFTING = {"extent": "true", "mass": "uniform", "weights": None, "color_space": "srgb",
-           "color_metric": None, "color_weight": 2.0}  # fmt: skip
-GUIDES = {"landmarks": "auto", "labels": None, "features": None, "feature_weight": 1.0}
-
-
+SIZES = {"size": None, "solve_size": None, "max_particles": None}
+#: All options of `morph` and its like; None turns an alternative of another one off.
+MORPH = STRENGTHS | {"duration": None} | clmorph.MorphOptions(
+    **STRENGTHS, **SOLVER, **WIDTHS, **SIZES, n_frames=2, splatting="adaptive",
+    detail="particles", path_space="srgb", color_space="srgb", color_weight=2.0, extent="true",
+).as_dict()  # fmt: skip
+#: Arguments of `morph` that are arrays.
+MAPS = dict.fromkeys(("weights", "color_metric", "labels", "features"))
 #: Options of `clmorph.recolor`.
 RECOLOR = {
     "strength": 0.5, "color_space": "oklab", "blur": 0.1, "reach": 1.0, "feather": 1.0,
@@ -170,44 +173,27 @@ def cases() -> dict[str, dict[str, Any]]:
     film = [some["a"], some["b"], some["a"]]
     measures = {"source": some["source"], "target": some["target"]}
     planned = measures | {"potentials": some["potentials"], "backend": "numpy"}
-    shared = {"size": None, "solve_size": None, "max_particles": None, "max_memory": None,
-              "log_threshold": None, "options": None, "preset": None, "backend": "numpy",
-              "progress": Idle()}  # fmt: skip
+    shared = {"options": None, "backend": "numpy", "progress": Idle()}
     playback = {"fps": 20.0, "duration": None, "hold": 0.65, "loop": "loop", "reverse": False,
                 "canvas": "dynamic", "scaling": "auto", "background": None,
                 "lossless": False}  # fmt: skip
     of_morph = {"morph": some["morph"]}
     given: dict[str, dict[str, Any]] = {
-        "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | GUIDES | shared | playback | {
-            "draft": False, "n_frames": 2, "splatting": "adaptive", "sigma": None,
-            "endpoints": "exact",
-            "detail": "particles",
-            "unmatched": "fade", "path_space": "srgb", "barycentric": False, "sample": None,
-            "seed": 0, "ease": "linear",
-        },
-        "morph_clip": STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | playback | {
+        "morph": images | MORPH | MAPS | shared | {"preset": None, "draft": False},
+        "morph_clip": MORPH | shared | {
             "source": [some["a"]] * 3, "target": some["b"], "every": 0.1, "max_pixels": 100,
-            "n_frames": 2, "duration": None, "fps": 2.0, "sigma": None,
-            "endpoints": "exact", "detail": "layers", "unmatched": "fade", "path_space": "srgb",
-            "barycentric": False, "sample": None, "seed": 0, "ease": "linear",
-            "feature_weight": 1.0, "landmarks": "auto", "splatting": "local",
+            "fps": 2.0, "detail": "layers", "splatting": "local", "gamma": None,
+            "sigma_start": "auto", "sigma_end": "auto",
         },
-        "inspect": images | STRENGTHS | SOLVER | LIFTING | GUIDES | shared | {
-            "n_frames": 2, "divergence": True, "max_bytes": 1e9,
+        "inspect": images | MORPH | MAPS | shared | {
+            "preset": None, "divergence": True, "max_bytes": 1e9,
         },
-        "rearrange": images | {
-            "options": None, "backend": "numpy", "progress": Idle(), "n_frames": 2, "fps": 20.0,
-            "duration": None, "hold": 0.65, "ease": "linear", "loop": "loop", "reverse": False,
-            "canvas": "dynamic", "scaling": "auto", "background": None, "lossless": False,
-            "size": None, "color_weight": 2.0, "color_space": "srgb", "extent": "true",
-            "gap": 0.01, "seed": 0,
-        },
-        "mix": STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | playback | {
+        "rearrange": images | {"duration": None} | shared | clmorph.RearrangeOptions(
+            n_frames=2, size=None
+        ).as_dict(),
+        "mix": MORPH | shared | {
             "images": [some["a"], some["b"]], "weights": [[1.0, 1.0]], "grid": None,
-            "draft": False, "n_frames": 2, "splatting": "adaptive", "sigma": None,
-            "endpoints": "exact", "detail": "particles", "unmatched": "fade",
-            "path_space": "srgb", "barycentric": False, "sample": None, "seed": 0,
-            "ease": "linear", "feature_weight": 1.0, "landmarks": "auto",
+            "preset": None, "draft": False,
         },
         "Mixes.frame": {"self": some["mixes"], "weights": [1.0, 1.0, 0.0]},
         "Mixes.morph": {"self": some["mixes"], "first": 0, "second": 1},
@@ -216,16 +202,15 @@ def cases() -> dict[str, dict[str, Any]]:
         "Mixes.path": {"self": some["mixes"], "stops": "ab"},
         "Mixes.save": {"self": some["mixes"], "path": "out.png", "stops": None},
         "recolor": {
-            "image": some["a"], "like": some["b"], "options": None, "mask": np.ones((3, 3)),
-            "backend": "numpy", "progress": Idle(), **RECOLOR,
+            "image": some["a"], "like": some["b"], "mask": np.ones((3, 3)), **shared, **RECOLOR,
         },
         "recolor_clip": {
-            "clip": "none.mp4", "like": some["b"], "path": "out.mp4", "options": None,
-            "max_pixels": 1000, "backend": "numpy", "progress": Idle(), **RECOLOR,
+            "clip": "none.mp4", "like": some["b"], "path": "out.mp4", "max_pixels": 1000, **shared,
+            **RECOLOR,
         },
         "fit_lut": {
-            "image": some["a"], "like": some["b"], "options": None, "size": 3,
-            "mask": np.ones((3, 3)), "backend": "numpy", "progress": Idle(), **RECOLOR,
+            "image": some["a"], "like": some["b"], "size": 3, "mask": np.ones((3, 3)), **shared,
+            **RECOLOR,
         },
         "apply_lut": {
             "image": some["a"], "lut": some["lut"], "mask": np.ones((3, 3)), "strength": 0.5,
@@ -320,7 +305,10 @@ def cases() -> dict[str, dict[str, Any]]:
         "barycentric_plan": planned,
         "displacement_statistics": measures | {"plan": some["plan"], "mask": 0.0},
         "particles": measures | {"plan": some["plan"], "unmatched": "fade", "path_space": "srgb"},
-        "lift": {"image": some["a"], **LIFTING},
+        "lift": {
+            "image": some["a"], "extent": "true", "mass": "uniform", "weights": None,
+            "color_space": "srgb", "color_metric": None, "color_weight": 2.0,
+        },
         "fit": {"image": some["a"], "size": 2},
         "read_image": {"path": "a.png", "max_pixels": 1000},
         "read_labels": {"path": "a.png", "max_pixels": 1000},
@@ -399,10 +387,6 @@ def cases() -> dict[str, dict[str, Any]]:
         "ReferenceMorph.frame": {"self": some["reference"], "t": 0.5},
     }  # fmt: skip
     given["quality.path_divergence"].pop("max_iter")
-    for name in ("mix", "morph_clip"):
-        given[name].pop("color_metric")  # maps are for two images
-    for name in ("preset", "weights"):
-        given["morph_clip"].pop(name, None)
     return given
 
 
