@@ -218,6 +218,5 @@ HOLE = np.where(np.arange(8)[:, None, None] == 3, np.nan, PICTURE)
     ],
 )
 def test_wrong_use(call, words):
-    with pytest.raises(InputError, match=words) as caught:
+    with pytest.raises(InputError, match=words):
         call()
-    assert "\n" not in str(caught.value)

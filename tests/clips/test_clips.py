@@ -174,9 +174,8 @@ def test_a_clip_that_ends_early_is_refused(tmp_path, ending):
     broken.write_bytes(data[: int(0.6 * len(data))])
     with Clip(whole) as clip:
         assert len(list(clip.frames())) == 20
-    with Clip(broken) as clip, pytest.raises(FileError, match=r"damaged after [01]\.\d s") as error:
+    with Clip(broken) as clip, pytest.raises(FileError, match=r"damaged after [01]\.\d s"):
         list(clip.frames())
-    assert "\n" not in str(error.value)
 
 
 def test_files_that_are_no_clips_are_refused(tmp_path):
@@ -191,9 +190,8 @@ def test_files_that_are_no_clips_are_refused(tmp_path):
         "missing.mp4": "No such file",
     }  # fmt: skip
     for name, what in words.items():
-        with pytest.raises(FileError, match=what) as error:
+        with pytest.raises(FileError, match=what):
             Clip(tmp_path / name)
-        assert "\n" not in str(error.value)
     ffmpeg(*PICTURE, "-pix_fmt", "yuv420p", tmp_path / "plain.mp4")
     with pytest.raises(FileError, match="expected at most 5000"):
         Clip(tmp_path / "plain.mp4", 5000)

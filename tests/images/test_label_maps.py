@@ -97,9 +97,8 @@ def test_label_files_that_cannot_be_used(tmp_path, write, told):
     file = tmp_path / "a.png"
     write(file)
     file = next(tmp_path.iterdir(), file)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=told):
         clmorph.read_labels(file, max_pixels=1_000_000)
-    assert "\n" not in str(caught.value)
 
 
 def test_pixels_and_their_owners():

@@ -152,9 +152,8 @@ def test_an_inspection_without_matplotlib_shows_its_numbers(pair, monkeypatch):
     monkeypatch.setattr("clmorph.analysis.figures.importlib.import_module", missing)
     assert found._repr_html_().startswith("<pre>source")
     for draw in (found.plot, lambda: found.save("report.png"), check_plotting):
-        with pytest.raises(OutputError, match=r'pip install "clmorph\[plot\]"') as caught:
+        with pytest.raises(OutputError, match=r'pip install "clmorph\[plot\]"'):
             draw()
-        assert "\n" not in str(caught.value)
 
 
 def test_small_pictures_are_enlarged_as_squares():

@@ -81,9 +81,8 @@ def test_other_endings_are_refused(solved, tmp_path):
 def test_foreign_records_are_refused(text, tmp_path):
     path = tmp_path / "bad.npz"
     np.savez(path, result=np.frombuffer(text, np.uint8))
-    with pytest.raises(InputError, match=r"bad\.npz") as caught:
+    with pytest.raises(InputError, match=r"bad\.npz"):
         clmorph.load(path)
-    assert "\n" not in str(caught.value)
 
 
 def test_damaged_plans_are_refused(solved, tmp_path):
@@ -141,9 +140,8 @@ def test_call_of_other_libraries_is_explained(solved, call):
     x, y = solved["points"]
     a, b = np.full(7, 1 / 7), np.full(9, 1 / 9)
     for arguments in ((a, x, b, y), (a, b, x @ y.T), (a, x, b.tolist(), y)):
-        with pytest.raises(InputError, match=r"sinkhorn\(\(a, x\), \(b, y\)") as caught:
+        with pytest.raises(InputError, match=r"sinkhorn\(\(a, x\), \(b, y\)"):
             call(*arguments, backend="numpy")
-        assert "\n" not in str(caught.value)
         with pytest.raises(InputError, match=r"sinkhorn\(\(a, x\), \(b, y\)"):
             call(*arguments, blur=0.05)
 
@@ -154,6 +152,5 @@ def test_dense_plan(solved):
     np.testing.assert_array_equal(plan.toarray(), dense)
     np.testing.assert_array_equal(np.asarray(plan), dense)
     assert np.asarray(plan, np.float32).dtype == np.float32
-    with pytest.raises(InputError, match="to_scipy") as caught:
+    with pytest.raises(InputError, match="to_scipy"):
         plan.toarray(max_bytes=8 * 7 * 9 - 1)
-    assert "\n" not in str(caught.value)

@@ -104,9 +104,8 @@ def test_a_page_has_at_most_the_bytes_it_may_have(rng):
     for a, b in zip(got, frames, strict=True):
         assert np.abs(a[..., :3].astype(float) - b).mean() < 12
     assert re.search(rf"quality ({'|'.join(map(str, QUALITIES))}) or better", note)
-    with pytest.raises(OutputError, match="fewer or smaller frames") as caught:
+    with pytest.raises(OutputError, match="fewer or smaller frames"):
         page(Scene(frames, np.arange(6.0)), max_bytes=2000)
-    assert "\n" not in str(caught.value)
 
 
 class ReadOnce:
@@ -193,9 +192,8 @@ def test_parameters_are_read_from_the_page_alone(rng, tmp_path):
     marker = '<script type="application/json" id="clmorph-parameters">'
     for wrong in ("", "<!doctype html><title>other</title>", marker + '{"a": 1', marker + "[1]<"):
         bare.write_text(wrong)
-        with pytest.raises(InputError, match=r"bare\.html") as caught:
+        with pytest.raises(InputError, match=r"bare\.html"):
             read_parameters(bare)
-        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("extent", ["true", "unit"])
