@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from conftest import TESTED, USABLE, found_anew
 
-from clmorph import DeviceError, InputError
+from clmorph import DeviceError
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.build.constants import (
     apply_quirks,
@@ -416,12 +416,6 @@ def test_quirks_change_the_build():
             made = apply_quirks(constants, frozenset({quirk}))
             assert made.tile % (made.group * made.width) == 0
             assert made.tile % made.unroll == 0
-
-
-def test_unknown_quirks(device, monkeypatch):
-    monkeypatch.setenv("CLMORPH_QUIRKS", "grumpy")
-    with pytest.raises(InputError, match="grumpy"):
-        find_quirks(device.device)
 
 
 @pytest.mark.needs_device

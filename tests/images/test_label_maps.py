@@ -67,36 +67,31 @@ def test_a_color_is_a_label(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("write", "told"),
+    ("name", "content", "told"),
     [
-        (lambda file: file.with_suffix(".npy"), "labels cannot be read"),
-        (lambda file: file, "labels cannot be read"),
-        (lambda file: file.write_bytes(b"nothing"), "is not an image"),
-        (lambda file: Image.new("RGBA", (2, 2), (1, 2, 3, 4)).save(file), "transparent in parts"),
-        (
-            lambda file: Image.fromarray(np.arange(3 * 400, dtype=np.uint16).reshape(4, 300)).save(
-                file
-            ),
-            "has 1200 different labels: expected at most 256",
-        ),
-        (lambda file: Image.new("L", (2000, 2000)).save(file), "expected at most 1000000"),
-        (lambda file: np.save(file.with_suffix(".npy"), np.ones((2, 2))), "float64 of shape"),
-        (lambda file: np.save(file.with_suffix(".npy"), np.ones((2, 2, 2), int)), "array of shape"),
-        (lambda file: np.save(file.with_suffix(".npy"), np.array([[{}]])), "Python objects"),
-        (lambda file: np.save(file.with_suffix(".npy"), np.ones((0, 2), int)), "of shape"),
-        (
-            lambda file: file.with_suffix(".npy").write_bytes(
-                b"\x93NUMPY\x01\x00v\x00{'descr': '<i8', 'fortran_order': False, "
-                b"'shape': (1000, 999), }".ljust(128)
-            ),
-            "shorter than its header says",
-        ),
+        ("a.npy", None, "labels cannot be read"),
+        ("a.png", None, "labels cannot be read"),
+        ("a.png", b"nothing", "is not an image"),
+        ("a.png", Image.new("RGBA", (2, 2), (1, 2, 3, 4)), "transparent in parts"),
+        ("a.png", Image.fromarray(np.arange(1200, dtype=np.uint16).reshape(4, 300)),
+         "has 1200 different labels: expected at most 256"),
+        ("a.png", Image.new("L", (2000, 2000)), "expected at most 1000000"),
+        ("a.npy", np.ones((2, 2)), "float64 of shape"),
+        ("a.npy", np.ones((2, 2, 2), int), "array of shape"),
+        ("a.npy", np.array([[{}]]), "Python objects"),
+        ("a.npy", np.ones((0, 2), int), "of shape"),
+        ("a.npy", b"\x93NUMPY\x01\x00v\x00{'descr': '<i8', 'fortran_order': False, "
+         b"'shape': (1000, 999), }".ljust(128), "shorter than its header says"),
     ],
-)
-def test_label_files_that_cannot_be_used(tmp_path, write, told):
-    file = tmp_path / "a.png"
-    write(file)
-    file = next(tmp_path.iterdir(), file)
+)  # fmt: skip
+def test_label_files_that_cannot_be_used(tmp_path, name, content, told):
+    file = tmp_path / name
+    if isinstance(content, bytes):
+        file.write_bytes(content)
+    elif isinstance(content, np.ndarray):
+        np.save(file, content)
+    elif content is not None:
+        content.save(file)
     with pytest.raises(InputError, match=told):
         clmorph.read_labels(file, max_pixels=1_000_000)
 
