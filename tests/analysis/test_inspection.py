@@ -321,11 +321,10 @@ class _Counted:
 
     def __init__(self, monkeypatch, device):
         self.live = self.peak = self.used = 0
-        counted = self
-        original = launches.cl.Buffer
-        pool = device.work._pool
-        pool.free_held()
-        self.before, self.active = pool.managed_bytes, pool.active_bytes
+        counted, self.pool = self, device.work._pool
+        original, empty = launches.cl.Buffer, launches.Workspace.empty
+        self.pool.free_held()
+        self.before, self.active = self.pool.managed_bytes, self.pool.active_bytes
 
         class Buffer(original):
             def __init__(self, *arguments, **options):
@@ -335,40 +334,36 @@ class _Counted:
             def __del__(self):
                 counted.live -= self.size
 
-        empty = launches.Workspace.empty
-
         def counted_empty(work, n_bytes):
             buffer = empty(work, n_bytes)
             counted.change(0)
             return buffer
 
-        self.change = lambda size: self._change(size, pool)
         monkeypatch.setattr(launches.cl, "Buffer", Buffer)
         monkeypatch.setattr(launches.Workspace, "empty", counted_empty)
 
-    def _change(self, size, pool):
+    def change(self, size):
         self.live += size
-        self.peak = max(self.peak, self.live + pool.managed_bytes - self.before)
-        self.used = max(self.used, self.live + pool.active_bytes - self.active)
+        self.peak = max(self.peak, self.live + self.pool.managed_bytes - self.before)
+        self.used = max(self.used, self.live + self.pool.active_bytes - self.active)
 
 
 class TestMemory:
     @pytest.mark.parametrize(
-        ("side", "blur", "way", "channels", "detail"),
+        ("blur", "way", "channels", "detail"),
         [
-            pytest.param(64, 0.03, {}, 3, "particles", marks=pytest.mark.full),
-            (64, 0.03, {}, 3, "layers"),
-            pytest.param(64, 0.015, {}, 3, "particles", marks=pytest.mark.full),
-            pytest.param(64, 0.03, {"sample": 16}, 3, "particles", marks=pytest.mark.full),
-            pytest.param(64, 0.03, {"barycentric": True}, 3, "particles", marks=pytest.mark.full),
-            pytest.param(64, 0.015, {}, 4, "particles", marks=pytest.mark.full),
-            pytest.param(64, 0.015, {}, 4, "layers", marks=pytest.mark.full),
+            (0.03, {}, 3, "layers"),
+            *(pytest.param(*each, "particles", marks=pytest.mark.full) for each in (
+                (0.03, {}, 3), (0.015, {}, 3), (0.03, {"sample": 16}, 3),
+                (0.03, {"barycentric": True}, 3), (0.015, {}, 4),
+            )),
+            pytest.param(0.015, {}, 4, "layers", marks=pytest.mark.full),
         ],
-    )
+    )  # fmt: skip
     def test_on_devices_within_a_factor_of_two(
-        self, device, monkeypatch, side, blur, way, channels, detail
+        self, device, monkeypatch, blur, way, channels, detail
     ):
-        first, second = _photos(side)
+        first, second = _photos(64)
         if channels == 4:
             first = np.dstack((first, _picture(first.shape[:2], channels=4)[..., 3]))
         morph = functools.partial(

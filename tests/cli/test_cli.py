@@ -73,18 +73,6 @@ def test_motion_and_color_options(pictures):
         assert Path(name).exists()
 
 
-def test_transparent_pictures_give_transparent_frames(pictures):
-    Image.new("RGBA", (9, 9), (200, 30, 30, 0)).save("c.png")
-    with Image.open("c.png") as picture:
-        picture.putpixel((4, 4), (10, 200, 30, 255))
-        picture.save("c.png")
-    assert main(["morph", "c.png", "b.jpg", "-o", "frames", "--frames", "3"]) == 0
-    with Image.open("frames/frame-0000.png") as frame:
-        assert frame.mode == "RGBA"
-        assert frame.getpixel((4, 4)) == (10, 200, 30, 255)
-        assert frame.getpixel((0, 0))[3] == 0
-
-
 def test_options_reach_the_morph(pictures, monkeypatch):
     seen = {}
 

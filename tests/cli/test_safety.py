@@ -18,7 +18,7 @@ from PIL.PngImagePlugin import PngInfo
 
 import clmorph
 from clmorph._shared import files
-from clmorph._shared.printable import printable, reason_of
+from clmorph._shared.printable import printable
 from clmorph.cli.config import is_bare
 from clmorph.cli.main import main
 from clmorph.errors import ClmorphWarning, InputError, OutputError
@@ -317,13 +317,6 @@ def test_spaces_and_joiners_are_no_escapes():
         assert printable(text) == text
     # Lines end by these, and direction turns by those.
     assert printable("\u2028\u2029\u0085\u200e\u2066") == "\\u2028\\u2029\\x85\\u200e\\u2066"
-
-
-def test_what_errors_say_is_one_line():
-    assert reason_of(FileNotFoundError(2, "No such\nfile", "a.png")) == "No such file"
-    assert reason_of(ValueError("  two\n lines\x1b[2J ")) == "two lines\\x1b[2J"
-    assert reason_of(KeyError()) == "KeyError"
-    assert len(reason_of(ValueError("x" * 5000), 40)) == 40
 
 
 def test_every_error_and_warning_is_printable():

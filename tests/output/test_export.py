@@ -276,23 +276,16 @@ def test_webm_keeps_opacity(tmp_path, clear):
 def test_stills_are_the_frames_at_their_own_sizes(tmp_path, growing, name):
     save(growing, tmp_path / name, format=name if name == "tiff-folder" else None)
     if name == "out.tif":
-        with Image.open(tmp_path / name) as pages:
-            found = []
-            for number in range(pages.n_frames):
-                pages.seek(number)
-                found.append(np.asarray(pages))
+        found = stills(tmp_path / name)[0]
     else:
         ending = "png" if name == "frames" else "tif"
         files = sorted((tmp_path / name).iterdir())
         assert [file.name for file in files] == [f"frame-{i:04d}.{ending}" for i in range(5)]
-        found = []
-        for file in files:
-            with Image.open(file) as picture:
-                found.append(np.asarray(picture))
+        found = [np.asarray(Image.open(file)) for file in files]
     for frame, want in zip(found, wanted(growing), strict=True):
-        assert np.array_equal(frame, want)
-    assert found[0].shape == (6, 8, 3)
-    assert found[-1].shape == (12, 16, 3)
+        assert np.array_equal(frame[..., :3], want)
+    assert found[0].shape[:2] == (6, 8)
+    assert found[-1].shape[:2] == (12, 16)
 
 
 def test_npz_loads_again(tmp_path, morph, growing):
@@ -405,17 +398,6 @@ def test_a_sprites_rarest_color_is_exact(tmp_path, busy):
         assert np.array_equal(told[index][..., :3], frames[index])
 
 
-def test_bars_beside_pixel_art_have_the_backgrounds_color(tmp_path):
-    """Also where frames that fit no better than by a whole factor have them, and no other."""
-    rng = np.random.default_rng(10)
-    frames = rng.integers(0, 255, (2, 12, 12, 3), np.uint8)
-    film = film_of(frames, holds=[True, True], pixelated=True)
-    write(tmp_path / "out.gif", film, canvas="40x40", background="#0a64c8")
-    for frame in stills(tmp_path / "out.gif")[0]:
-        assert np.all(frame[:2, :, :3] == (10, 100, 200))
-        assert np.all(frame[:, 38:, :3] == (10, 100, 200))
-
-
 def test_a_gif_rounds_opacity(tmp_path, clear):
     save(clear, tmp_path / "out.gif", canvas="source")
     for frame, want in zip(stills(tmp_path / "out.gif")[0], wanted(clear), strict=True):
@@ -446,15 +428,6 @@ def test_canvases_are_those_of_the_pictures_as_given(tmp_path, growing, name, re
                 assert picture.size == size
 
 
-def test_contact_sheet(tmp_path, growing):
-    save(growing, tmp_path / "sheet.PNG", scaling="nearest")
-    with Image.open(tmp_path / "sheet.PNG") as sheet:
-        assert sheet.n_frames == 1
-        assert sheet.size == (5 * (192 + 12) + 12, 144 + 22 + 24)
-        first = sheet.crop((12, 12, 12 + 192, 12 + 144)).resize((8, 6), Image.Resampling.BOX)
-    assert np.array_equal(np.asarray(first), wanted(growing)[0])
-
-
 @pytest.mark.parametrize("pixelated", [False, pytest.param(True, marks=pytest.mark.full)])
 def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
     """All of a frame comes in: stripes one pixel wide turn gray instead of one of their colors."""
@@ -466,8 +439,9 @@ def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
         (FrameStyle(canvas="300x100"), (300, 100)),
         (FrameStyle(canvas="source"), (720, 480)), (FrameStyle(scaling="nearest"), (192, 128)),
     ):  # fmt: skip
-        write_all([Output(tmp_path / "sheet.png")], film, look)
-        with Image.open(tmp_path / "sheet.png") as sheet:
+        write_all([Output(tmp_path / "sheet.PNG")], film, look)
+        with Image.open(tmp_path / "sheet.PNG") as sheet:
+            assert sheet.n_frames == 1
             width, height = sheet.size
             gap, label, *_ = lengths(*size)
             first = np.asarray(sheet)[gap : gap + size[1], gap : gap + size[0]]
@@ -511,23 +485,6 @@ def test_captions_of_a_contact_sheet_do_not_touch(tmp_path):
     centers = np.split(ink, np.flatnonzero(gaps >= 9) + 1)
     for column, letters in zip(pictures, centers, strict=True):
         assert abs(column - letters.mean()) < 6
-
-
-def test_loops(tmp_path, growing):
-    for loop, order, told in (
-        ("loop", [0, 1, 2, 3, 4], 0),
-        ("ping-pong", [0, 1, 2, 3, 4, 3, 2, 1], 0),
-        ("once", [0, 1, 2, 3, 4], 1),
-    ):
-        save(growing, tmp_path / "out.apng", canvas="target", scaling="nearest", loop=loop)
-        frames, durations = stills(tmp_path / "out.apng")
-        assert len(frames) == len(order)
-        assert np.array_equal(frames[4][..., :3], wanted(growing)[4])
-        assert durations[0] == durations[4] == 700
-        with Image.open(tmp_path / "out.apng") as animation:
-            assert animation.info["loop"] == told
-        for place, index in enumerate(order):
-            assert np.array_equal(frames[place], frames[index])
 
 
 def test_reverse_and_chains(tmp_path, growing):
@@ -681,6 +638,8 @@ def test_frames_are_not_held(tmp_path, monkeypatch, name):
     """They are rendered one by one, wait on disk, and are read again, a few ahead."""
     rng = np.random.default_rng(6)
     result = plain.morph(*rng.random((2, 8, 8, 3)), 20)
+    (tmp_path / "before").mkdir()
+    save(result, tmp_path / "before" / name, loop="ping-pong")
     alive, most = [0], []
 
     def gone():
@@ -700,6 +659,7 @@ def test_frames_are_not_held(tmp_path, monkeypatch, name):
     save(result, tmp_path / name, loop="ping-pong")
     assert len(most) >= 40
     assert max(most) <= 3 + MOST_THREADS
+    assert contents(tmp_path / name) == contents(tmp_path / "before" / name)
 
 
 #: Writes a film of smooth frames that move, made when they are read, and tells by how many MB
@@ -853,33 +813,14 @@ def test_what_encoders_raise_is_told_in_one_line(tmp_path, monkeypatch, growing,
 
 
 def test_refusals(tmp_path, growing, monkeypatch):
-    (tmp_path / "file").write_text("")
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "a.png").write_text("")
-    (tmp_path / "dir.gif").mkdir()
-    for name, words in [
-        ("out.bmp", "unknown ending '.bmp'; expected .gif, .webp, .apng"),
-        ("no/where/out.gif", "no folder"),
-        ("file", "exists already"),
-        ("full", "exists already"),
-        ("dir.gif", "is a folder"),
-        ("file/out.gif", "no"),
-        ("x" * 300 + ".gif", "does not exist|cannot be written"),
-    ]:
-        with pytest.raises(OutputError, match=words):
-            Output(tmp_path / name)
     for nothing in (None, "", 3):
         with pytest.raises(OutputError, match="path"):
             Output(nothing)
     for options, words in (
         ({"format": "mov"}, "format='mov'"),
-        ({"fps": 0}, "fps=0"),
-        ({"hold": -1}, "hold=-1"),
-        ({"loop": "twice"}, "loop='twice'"),
         ({"canvas": "big"}, "canvas='big'"),
         ({"canvas": "0x10"}, "canvas='0x10'"),
         ({"canvas": (10, 99999)}, "canvas="),
-        ({"scaling": "bicubic"}, "scaling="),
         ({"background": "reddish"}, "background='reddish'"),
     ):
         with pytest.raises(InputError, match=re.escape(words)):

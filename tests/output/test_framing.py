@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from clmorph.images.detail import is_pixel_art
-from clmorph.output.framing import FrameStyle, Framing, enlargement_note, in_time
+from clmorph.output.framing import FrameStyle, Framing, enlargement_note
 from clmorph.output.options import as_canvas
-from clmorph.output.recording import Spool
 
 SHAPES = [(6, 8, 3), (9, 8, 3), (12, 8, 3)]
 
@@ -71,12 +70,6 @@ def test_pixels_of_pixel_art_stay_squares_of_one_size(rng):
     assert np.count_nonzero(smooth.any(-1).any(0)) == 35  # as large as fits
 
 
-def test_shapes_are_put_in_the_order_of_time():
-    times = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
-    shapes = [(side, side, 3) for side in (3, 7, 4, 9, 5)]
-    assert in_time(shapes, times) == in_time(shapes[::-1], times[::-1]) == shapes
-
-
 def test_bars_and_backgrounds():
     white = np.full((6, 8, 3), 255, np.uint8)
     black = framed(white, canvas="16x6")
@@ -118,25 +111,6 @@ def test_what_is_pixel_art(rng):
     large = np.zeros((300, 300, 3))
     large[:, :7] = 1
     assert not is_pixel_art(large)
-
-
-def test_a_spool_gives_back_what_it_took(rng, tmp_path, monkeypatch):
-    arrays = [rng.random((n, 3)).astype(np.float32) for n in (1, 4, 2)]
-    for limit in (10, 1 << 20):  # on disk, in memory
-        monkeypatch.setattr("clmorph.output.recording.IN_MEMORY", limit)
-        with Spool(np.float32, tmp_path) as spool:
-            for array in arrays:
-                spool.append(array)
-            assert len(spool) == 3
-            assert spool.shape(1) == (4, 3)
-            for index in (2, 0, 1, -1):
-                assert np.array_equal(spool[index], arrays[index])
-            assert len(spool[1:]) == 2
-            with pytest.raises(TypeError, match="float64"):
-                spool.append(np.zeros(3))
-            with pytest.raises(IndexError):
-                spool[3]
-        assert list(tmp_path.iterdir()) == []
 
 
 def test_a_canvas_that_enlarges_all_frames_is_noted():

@@ -308,17 +308,6 @@ def test_scene_of_a_morph(rng, tmp_path):
     assert scene_of(balanced).parameters["reach"] == ["balanced", 0.4]
 
 
-def test_frames_are_rendered_only_when_read(rng, monkeypatch):
-    result = small_morph(rng)
-    asked = []
-    frame = clmorph.Morph.frame
-    monkeypatch.setattr(clmorph.Morph, "frame", lambda self, t: asked.append(t) or frame(self, t))
-    scene = scene_of(result)
-    assert asked == []
-    page(scene)
-    assert asked == result.times.tolist()
-
-
 def test_sprites_are_shown_as_squares(rng):
     sprite = np.kron(rng.integers(0, 2, (6, 6, 3)), np.ones((3, 3, 1))).astype(float)
     photo = rng.random((18, 18, 3))

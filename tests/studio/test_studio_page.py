@@ -100,13 +100,6 @@ def test_pictures_of_one_name_keep_apart(opened, pictures, place):
     page.set_input_files("#choose", str(place / "other/b.jpg"))
     until(page, "studio.state.pictures.length === 3")
     assert page.evaluate("studio.state.pictures[2].name") == "b-3.jpg"
-    # Nor are they those of what the commands write, or of painted regions.
-    for name, want in (("morph.png", "morph-2.png"), ("b-labels.png", "b-labels-2.png")):
-        Image.open(pictures[1]).save(place / "other" / name)
-        count = page.evaluate("studio.state.pictures.length")
-        page.set_input_files("#choose", str(place / "other" / name))
-        until(page, f"studio.state.pictures.length === {count + 1}")
-        assert page.evaluate("studio.state.pictures.at(-1).name") == want
 
 
 @pytest.mark.full
