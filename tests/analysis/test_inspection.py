@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clouds import PAIRS
+from marks import full
 from PIL import Image
 from skimage import data
 
@@ -422,10 +423,7 @@ RUNS = {
 
 @pytest.mark.needs_device
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
-@pytest.mark.parametrize(
-    "kind",
-    [kind if kind == "draft" else pytest.param(kind, marks=pytest.mark.full) for kind in RUNS],
-)
+@pytest.mark.parametrize("kind", ["draft", *full(*(kind for kind in RUNS if kind != "draft"))])
 def test_the_command_says_the_peak_of_its_process(kind, tmp_path):
     """Reading and resizing pictures included, within 30 %."""
     photos = [Image.fromarray(getattr(data, name)()) for name in ("astronaut", "coffee")]

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import full
 from PIL import Image
 from programs import COMMAND
 from refusals import REMARKS
@@ -468,13 +469,7 @@ def test_mistakes_of_inspect_are_those_of_morph(pictures, refused):
         assert words in refused("inspect", *arguments, "--backend", "numpy")
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "morph",
-        *(pytest.param(it, marks=pytest.mark.full) for it in ("rearrange", "mix", "inspect")),
-    ],
-)
+@pytest.mark.parametrize("command", ["morph", *full("rearrange", "mix", "inspect")])
 def test_pictures_of_which_little_is_left_are_noted(tmp_path, monkeypatch, capfd, command):
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drawn_pictures import logo
+from marks import full
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
@@ -34,9 +35,7 @@ def former(request, tmp_path, monkeypatch, rng):
     return request.param
 
 
-@pytest.mark.parametrize(
-    "former", ["shapes", pytest.param("carried", marks=pytest.mark.full)], indirect=True
-)
+@pytest.mark.parametrize("former", ["shapes", *full("carried")], indirect=True)
 def test_they_make_films(former, capfd):
     given = ["a.png", "b.png", "--config", "r.json", "--backend", "numpy"]
     assert main(["morph", *given, "-o", "out.gif", "--recipe", "--json"]) == 0

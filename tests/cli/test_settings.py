@@ -10,6 +10,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from marks import full
 from PIL import Image
 
 import clmorph
@@ -469,14 +470,7 @@ def test_names_of_files_that_are_none(value, refused):
 
 @pytest.mark.skipif(os.name == "nt", reason="no names of files there")
 @pytest.mark.parametrize(
-    "name",
-    [
-        "10:30.png",
-        *(
-            pytest.param(name, marks=pytest.mark.full)
-            for name in ("back\\slash.png", "aux.png", "dots...", "space ")
-        ),
-    ],
+    "name", ["10:30.png", *full("back\\slash.png", "aux.png", "dots...", "space ")]
 )
 def test_a_recipe_of_ours_names_what_files_are_called(name, capfd):
     Path("a.png").rename(name)

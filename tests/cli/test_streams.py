@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import full
 from PIL import Image
 from programs import COMMAND, program
 
@@ -52,13 +53,10 @@ def shell(line):
 
 
 #: Formats that are piped by default, too; their writers differ most.
-PIPED = ("gif", "mp4")
+PIPED = ["gif", "mp4"]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(each, marks=[] if each in PIPED else [pytest.mark.full]) for each in FILES],
-)
+@pytest.mark.parametrize("name", PIPED + full(*(name for name in FILES if name not in PIPED)))
 def test_the_bytes_of_a_file(name):
     """What a pipe gets is what a file of this format holds."""
     if name in ("mp4", "webm"):
@@ -107,7 +105,7 @@ def test_every_command_pipes():
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("name", ["-", pytest.param("/dev/stdin", marks=pytest.mark.full)])
+@pytest.mark.parametrize("name", ["-", *full("/dev/stdin")])
 def test_standard_input_is_read_like_a_file(name):
     assert main([*MORPH, "-o", "file.npz"]) == 0
     data = Path("a.png").read_bytes()
@@ -153,10 +151,7 @@ def test_a_file_beside_it():
     assert [each["path"] for each in told["outputs"]] == ["/dev/stdout", "x.webp"]
 
 
-@pytest.mark.parametrize(
-    "place",
-    ["-", *(pytest.param(f"/dev/{it}", marks=pytest.mark.full) for it in ("stdout", "fd/1"))],
-)
+@pytest.mark.parametrize("place", ["-", *full("/dev/stdout", "/dev/fd/1")])
 def test_into_a_file_of_the_shell(place):
     """The file that the shell has opened is filled, and not replaced behind its back."""
     done = shell(

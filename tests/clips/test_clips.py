@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from marks import full
 
 from clmorph.clips.reading import Clip, Frame, Sound
 from clmorph.clips.tags import KNOWN_PRIMARIES, ColorTags
@@ -78,9 +79,7 @@ def test_frames_times_and_sound_are_copied(tmp_path):
     assert np.abs(np.stack([frame.pixels for frame in frames]) - after).mean() < 3
 
 
-@pytest.mark.parametrize(
-    "turn", [90, *(pytest.param(turn, marks=pytest.mark.full) for turn in (180, 270))]
-)
+@pytest.mark.parametrize("turn", [90, *full(180, 270)])
 def test_turned_clips_stand_upright(tmp_path, turn):
     plain, source, target = (tmp_path / name for name in ("a.mp4", "b.mp4", "c.mp4"))
     ffmpeg(*PICTURE, "-pix_fmt", "yuv420p", plain)

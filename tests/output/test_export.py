@@ -813,9 +813,6 @@ def test_what_encoders_raise_is_told_in_one_line(tmp_path, monkeypatch, growing,
 
 
 def test_refusals(tmp_path, growing, monkeypatch):
-    for nothing in (None, "", 3):
-        with pytest.raises(OutputError, match="path"):
-            Output(nothing)
     for options, words in (
         ({"format": "mov"}, "format='mov'"),
         ({"canvas": "big"}, "canvas='big'"),

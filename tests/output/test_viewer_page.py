@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from browsers import watched
+from marks import full
 from PIL import Image
 from plain import morph
 
@@ -461,13 +462,7 @@ def test_curves(rng, show):
     assert cursor() == pytest.approx(1, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    "size",
-    [
-        (1160, 560),
-        *(pytest.param(it, marks=pytest.mark.full) for it in ((1280, 720), (1920, 1080))),
-    ],
-)
+@pytest.mark.parametrize("size", [(1160, 560), *full((1280, 720), (1920, 1080))])
 def test_on_a_desk_all_is_in_sight(rng, show, size):
     curves = [Curve(f"curve {k}", f"unit {k}", rng.random(4)) for k in range(5)]
     scene = scene_with(
