@@ -227,8 +227,6 @@ def cases() -> dict[str, dict[str, Any]]:
             "self": clmorph.RearrangeOptions(), "gap": 0.01, "color_weight": 2.0,
         },
         "RearrangeOptions.as_dict": {"self": clmorph.RearrangeOptions()},
-        "Rearrangement.frame": {"self": some["rearranged"], "t": 0.5},
-        "Rearrangement.canvas": {"self": some["rearranged"], "t": 0.5},
         "Rearrangement.sums": {"self": some["rearranged"], "t": 0.5, "widths": None},
         "Rearrangement.iter_frames": {"self": some["rearranged"], "first": 0},
         "Rearrangement.save": {"self": some["rearranged"], "path": "out.png"},
@@ -319,10 +317,7 @@ def cases() -> dict[str, dict[str, Any]]:
             "morphs": some["morph"], "path": "out.png", "format": None, "parameters": None,
             "progress": Idle(),
         } | playback,
-        "Morph.frame": {"self": some["morph"], "t": 0.5},
         "Morph.device_frame": {"self": some["morph"], "t": 0.5, "queue": some["queue"]},
-        "Morph.coverage": {"self": some["morph"], "t": 0.5},
-        "Morph.canvas": {"self": some["morph"], "t": 0.5},
         "Morph.sums": {"self": some["morph"], "t": 0.5, "widths": None},
         "Morph.iter_frames": {"self": some["morph"], "first": 0},
         "Morph.save": {"self": some["morph"], "path": "out.png"},
@@ -343,10 +338,6 @@ def cases() -> dict[str, dict[str, Any]]:
             "self": some["potentials"], "queue": some["queue"], "dtype": "float32",
         },
         "Divergence.closer_than": {"self": some["divergence"], "other": some["divergence"]},
-        "Inspection.summary": {"self": some["inspection"]},
-        "Inspection.lines": {"self": some["inspection"]},
-        "Inspection.entries": {"self": some["inspection"]},
-        "Inspection.plot": {"self": some["inspection"]},
         "Inspection.save": {"self": some["inspection"], "path": "report.svg"},
         "quality.frame_measure": of_morph | {"t": 0.5, "weights": "kernel", "sums": some["sums"]},
         "quality.particle_measure": of_morph | {"t": 0.5, "max_points": 64},
@@ -355,18 +346,9 @@ def cases() -> dict[str, dict[str, Any]]:
             "max_points": 64, "backend": "numpy", "progress": Idle(),
         },
         "quality.hole_fraction": {"coverage": np.ones((3, 3))},
-        "quality.sharpness": {"frame": some["a"]},
-        "quality.crumbs": {"frame": some["a"]},
-        "quality.mean_gradient": {"frame": some["a"]},
         "quality.step_sizes": {"frames": [some["a"], some["b"]]},
         "quality.film_measures": {"frames": film, "particles": film, "times": (0.5,)},
-        "quality.ghost": {"frame": some["a"]} | images,
-        "quality.crossfade_share": {"frame": some["a"]} | images,
-        "quality.relative_sharpness": {"frame": some["a"]} | images | {"t": 0.5},
-        "quality.relative_crumbs": {"frame": some["a"]} | images | {"t": 0.5},
         "quality.low_band_distance": {"frame": some["a"], "particles": some["b"]},
-        "quality.unevenness": {"frames": film},
-        "quality.flicker": {"frames": film},
         "baseline.channel_morph": images | STRENGTHS | SOLVER | WIDTHS | {
             "n_frames": 2, "backend": "numpy", "extent": "true",
         },
@@ -387,6 +369,17 @@ def cases() -> dict[str, dict[str, Any]]:
         "ReferenceMorph.frame": {"self": some["reference"], "t": 0.5},
     }  # fmt: skip
     given["quality.path_divergence"].pop("max_iter")
+    frame, half = {"frame": some["a"]}, {"t": 0.5}
+    for kind, names, good in (
+        ("quality", "sharpness crumbs mean_gradient", frame),
+        ("quality", "ghost crossfade_share", frame | images),
+        ("quality", "relative_sharpness relative_crumbs", frame | images | half),
+        ("quality", "unevenness flicker", {"frames": film}),
+        ("Inspection", "summary lines entries plot", {"self": some["inspection"]}),
+        ("Morph", "frame coverage canvas", {"self": some["morph"]} | half),
+        ("Rearrangement", "frame canvas", {"self": some["rearranged"]} | half),
+    ):
+        given |= {f"{kind}.{name}": good for name in names.split()}
     return given
 
 
