@@ -92,13 +92,6 @@ def test_options_reach_the_morph(pictures, monkeypatch):
         "endpoints": "exact", "path_space": "oklab",
     }  # fmt: skip
     assert {name: seen[name] for name in wanted} == wanted
-    arguments = "morph a.png b.jpg -o x.gif --backend numpy --preset paper"
-    assert main(arguments.split()) == 2
-    wanted = {
-        "blur": 0.05, "reach": 0.3, "color_weight": 2, "sigma_start": 1.2, "sigma_end": 0.5,
-        "gamma": 0.5, "extent": "unit", "unmatched": "drop",
-    }  # fmt: skip
-    assert {name: seen[name] for name in wanted} == wanted
 
 
 def test_unconverged_is_said(pictures, capfd):

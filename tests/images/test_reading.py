@@ -7,6 +7,7 @@ import threading
 import time
 import warnings
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import imagecodecs
 import numpy as np
@@ -477,12 +478,9 @@ def test_threads_leave_no_trace(tmp_path):
                 return
 
     watcher = threading.Thread(target=watch)
-    threads = [threading.Thread(target=work, args=(start,)) for start in range(8)]
     watcher.start()
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(8) as threads:
+        threads.map(work, range(8))
     done.set()
     watcher.join()
     assert not failed
