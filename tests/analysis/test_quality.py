@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from plain import morph, sinkhorn_divergence
+from several import pictures
 
 from clmorph import InputError
 from clmorph.analysis.metrics import (
@@ -17,12 +18,7 @@ from clmorph.analysis.metrics import (
 
 @pytest.fixture(scope="module")
 def images():
-    rng = np.random.default_rng(3)
-    y, x = np.mgrid[:14, :14] / 14
-    waves = [
-        [0.5 + 0.5 * np.sin(6 * x + k * y + 6 * rng.random()) for k in (1, 3, 5)] for _ in "ab"
-    ]
-    return [np.stack(wave, -1) for wave in waves]
+    return pictures((14, 14))
 
 
 @pytest.fixture
