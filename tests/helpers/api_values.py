@@ -150,15 +150,14 @@ def _any_queue() -> Any:
 #: Options that several functions share.
 STRENGTHS = {"blur": 0.05, "reach": 0.3, "epsilon": None, "rho": None}
 SOLVER = {"tol": 1e-3, "max_iter": 2000}
+PROBLEM = STRENGTHS | SOLVER
 WIDTHS = {"sigma_start": 1.2, "sigma_end": 0.5, "gamma": 0.5}
 SIZES = {"size": None, "solve_size": None, "max_particles": None}
 #: All options of `morph` and its like; None turns an alternative of another one off.
 MORPH = STRENGTHS | {"duration": None} | clmorph.MorphOptions(
-    **STRENGTHS, **SOLVER, **WIDTHS, **SIZES, n_frames=2, splatting="adaptive",
+    **PROBLEM, **WIDTHS, **SIZES, n_frames=2, splatting="adaptive",
     detail="particles", path_space="srgb", color_space="srgb", color_weight=2.0, extent="true",
 ).as_dict()  # fmt: skip
-#: Arguments of `morph` that are arrays.
-MAPS = dict.fromkeys(("weights", "color_metric", "labels", "features"))
 #: Options of `clmorph.recolor`.
 RECOLOR = {
     "strength": 0.5, "color_space": "oklab", "blur": 0.1, "reach": 1.0, "feather": 1.0,
@@ -172,166 +171,114 @@ def cases() -> dict[str, dict[str, Any]]:
     images = {"image_a": some["a"], "image_b": some["b"]}
     film = [some["a"], some["b"], some["a"]]
     measures = {"source": some["source"], "target": some["target"]}
-    planned = measures | {"potentials": some["potentials"], "backend": "numpy"}
-    shared = {"options": None, "backend": "numpy", "progress": Idle()}
-    playback = {"fps": 20.0, "duration": None, "hold": 0.65, "loop": "loop", "reverse": False,
-                "canvas": "dynamic", "scaling": "auto", "background": None,
-                "lossless": False}  # fmt: skip
+    both = {"measures": [some["source"], some["target"]]}
+    batches = {"sources": [some["source"], some["plain"]],
+               "targets": [some["target"], some["plain"]]}  # fmt: skip
+    planned = measures | {"potentials": some["potentials"]}
+    recolored = {"like": some["b"]} | RECOLOR
     of_morph = {"morph": some["morph"]}
-    given: dict[str, dict[str, Any]] = {
-        "morph": images | MORPH | MAPS | shared | {"preset": None, "draft": False},
-        "morph_clip": MORPH | shared | {
-            "source": [some["a"]] * 3, "target": some["b"], "every": 0.1, "max_pixels": 100,
-            "fps": 2.0, "detail": "layers", "splatting": "local", "gamma": None,
-            "sigma_start": "auto", "sigma_end": "auto",
+    own: dict[str, dict[str, Any]] = {
+        "morph": images | MORPH,
+        "morph_clip": MORPH | {
+            "source": [some["a"]] * 3, "target": some["b"], "fps": 2.0, "detail": "layers",
+            "splatting": "local", "gamma": None, "sigma_start": "auto", "sigma_end": "auto",
         },
-        "inspect": images | MORPH | MAPS | shared | {
-            "preset": None, "divergence": True, "max_bytes": 1e9,
-        },
-        "rearrange": images | {"duration": None} | shared | clmorph.RearrangeOptions(
+        "inspect": images | MORPH,
+        "rearrange": images | {"duration": None} | clmorph.RearrangeOptions(
             n_frames=2, size=None
         ).as_dict(),
-        "mix": MORPH | shared | {
-            "images": [some["a"], some["b"]], "weights": [[1.0, 1.0]], "grid": None,
-            "preset": None, "draft": False,
-        },
+        "mix": MORPH | {"images": [some["a"], some["b"]], "weights": [[1.0, 1.0]]},
         "Mixes.frame": {"self": some["mixes"], "weights": [1.0, 1.0, 0.0]},
         "Mixes.morph": {"self": some["mixes"], "first": 0, "second": 1},
-        "Mixes.sheet": {"self": some["mixes"], "background": None},
+        "Mixes.sheet": {"self": some["mixes"]},
         "Mixes.drawn": {"self": some["mixes"]},
         "Mixes.path": {"self": some["mixes"], "stops": "ab"},
-        "Mixes.save": {"self": some["mixes"], "path": "out.png", "stops": None},
-        "recolor": {
-            "image": some["a"], "like": some["b"], "mask": np.ones((3, 3)), **shared, **RECOLOR,
-        },
-        "recolor_clip": {
-            "clip": "none.mp4", "like": some["b"], "path": "out.mp4", "max_pixels": 1000, **shared,
-            **RECOLOR,
-        },
-        "fit_lut": {
-            "image": some["a"], "like": some["b"], "size": 3, "mask": np.ones((3, 3)), **shared,
-            **RECOLOR,
-        },
-        "apply_lut": {
-            "image": some["a"], "lut": some["lut"], "mask": np.ones((3, 3)), "strength": 0.5,
-            "backend": "numpy",
-        },
-        "read_lut": {"path": "none.cube", "max_pixels": 1000},
+        "Mixes.save": {"self": some["mixes"], "path": "out.png"},
+        "recolor": recolored | {"image": some["a"], "mask": np.ones((3, 3))},
+        "recolor_clip": recolored | {"clip": "none.mp4", "path": "out.mp4"},
+        "fit_lut": recolored | {"image": some["a"], "size": 3, "mask": np.ones((3, 3))},
+        "apply_lut": {"image": some["a"], "lut": some["lut"], "mask": np.ones((3, 3))},
+        "read_lut": {"path": "none.cube"},
         "write_lut": {"path": "out.cube", "lut": some["lut"]},
         "RecolorOptions.replace": {
             "self": clmorph.RecolorOptions(), "strength": 0.5, "reach": None,
         },
         "RecolorOptions.as_dict": {"self": clmorph.RecolorOptions()},
-        "write_image": {"path": "out.png", "image": some["a"], "parameters": None},
+        "write_image": {"path": "out.png", "image": some["a"]},
         "RearrangeOptions.replace": {
             "self": clmorph.RearrangeOptions(), "gap": 0.01, "color_weight": 2.0,
         },
         "RearrangeOptions.as_dict": {"self": clmorph.RearrangeOptions()},
-        "Rearrangement.sums": {"self": some["rearranged"], "t": 0.5, "widths": None},
-        "Rearrangement.iter_frames": {"self": some["rearranged"], "first": 0},
+        "Rearrangement.sums": {"self": some["rearranged"], "t": 0.5},
+        "Rearrangement.iter_frames": {"self": some["rearranged"]},
         "Rearrangement.save": {"self": some["rearranged"], "path": "out.png"},
-        "MorphOptions.replace": {"self": clmorph.MorphOptions()} | STRENGTHS | SOLVER,
+        "MorphOptions.replace": {"self": clmorph.MorphOptions()} | PROBLEM,
         "MorphOptions.as_dict": {"self": clmorph.MorphOptions()},
-        "sinkhorn": measures | STRENGTHS | SOLVER | {
-            "backend": "numpy", "method": "certified", "scaling": 0.9, "precision": "auto",
-            "start": None, "progress": Idle(), "multiscale": "auto", "truncation": "auto",
-            "verify": False,
-        },
-        "sinkhorn_divergence": measures | STRENGTHS | SOLVER | {
-            "backend": "numpy", "precision": "auto", "cross": None, "progress": Idle(),
-            "gradient": True,
-        },
+        "sinkhorn": measures | PROBLEM,
+        "sinkhorn_divergence": measures | PROBLEM | {"gradient": True},
         "gradient": planned,
-        "hessian_product": {
-            "source": some["source"], "target": some["target"], "solved": some["divergence"],
-            "direction": some["direction"],
+        "hessian_product": measures | {
+            "solved": some["divergence"], "direction": some["direction"],
         },
         "assignment": {
             "x": some["grid"], "y": some["grid"][::-1], "weights": np.ones(len(some["grid"])),
-            "gap": 0.0, "seed": 0, "backend": "numpy", "progress": Idle(),
         },
-        "barycenter": STRENGTHS | {
-            "measures": [some["source"], some["target"]], "weights": [1.0, 2.0], "support": 3,
-            "tol": 0.1, "max_iter": 3, "backend": "numpy", "fixed": False, "debias": True,
-            "seed": 0, "progress": Idle(),
+        "barycenter": STRENGTHS | both | {
+            "weights": [1.0, 2.0], "support": 3, "tol": 0.1, "max_iter": 3,
         },
         "density": {"values": some["grid"]},
         "grid_measure": {
-            "values": some["grid"], "spacing": 0.5, "origin": (0.0, 1.0),
-            "mask": some["grid"] > 0, "axes": None,
+            "values": some["grid"], "spacing": 0.5, "origin": (0.0, 1.0), "mask": some["grid"] > 0,
         },
         "Grid.array": {"self": some["cells"], "values": some["cells"].weights},
         "Grid.with_masses": {"self": some["cells"], "masses": some["grid"]},
         "displacement_field": {
             "source": some["cells"], "target": some["cells"], "potentials": some["of_cells"],
-            "backend": "numpy",
         },
         "density_path": SOLVER | {
             "source": some["grid"], "target": some["grid"].T, "blur": 0.05, "reach": 0.3,
-            "backend": "numpy",
         },
         "DensityPath.at": {"self": some["path"], "t": 0.5},
-        "sinkhorn_batch": STRENGTHS | SOLVER | {
-            "sources": [some["source"], some["plain"]], "targets": [some["target"], some["plain"]],
-            "backend": "numpy", "precision": "auto", "progress": Idle(),
-        },
-        "sinkhorn_divergence_batch": STRENGTHS | SOLVER | {
-            "sources": [some["source"], some["plain"]], "targets": [some["target"], some["plain"]],
-            "backend": "numpy", "precision": "auto", "progress": Idle(), "gradient": True,
-        },
+        "sinkhorn_batch": batches | PROBLEM,
+        "sinkhorn_divergence_batch": batches | PROBLEM | {"gradient": True},
         # Without a client, which is checked last, so that every other value is.
-        "batch.morph": {
-            "pairs": [("a.png", "b.png", "out.gif")], "client": None, "backend": "numpy",
-            "preset": None,
+        "batch.morph": {"pairs": [("a.png", "b.png", "out.gif")], "client": None},
+        "batch.divergence_matrix": both | PROBLEM | {"client": None, "block": 2},
+        "batch.barycenters": PROBLEM | {
+            "groups": [both["measures"]], "client": None, "weights": [1.0, 1.0], "support": 3,
         },
-        "batch.divergence_matrix": STRENGTHS | SOLVER | {
-            "measures": [some["source"], some["target"]], "client": None, "backend": "numpy",
-            "precision": "auto", "block": 2,
-        },
-        "batch.barycenters": STRENGTHS | SOLVER | {
-            "groups": [[some["source"], some["target"]]], "client": None, "backend": "numpy",
-            "weights": [1.0, 1.0], "support": 3, "fixed": False, "debias": True, "seed": 0,
-        },
-        "divergence_matrix": STRENGTHS | SOLVER | {
-            "measures": [some["source"], some["target"]], "backend": "numpy", "precision": "auto",
-            "progress": Idle(),
-        },
-        "transport_plan": planned | {
-            "relative": 1e-4, "relative_to": "rows", "log_threshold": None, "max_bytes": 1e9,
-        },
-        "sample_plan": planned | {"draws": 2, "seed": 0},
+        "divergence_matrix": both | PROBLEM,
+        "transport_plan": planned,
+        "sample_plan": planned | {"draws": 2},
         "barycentric_plan": planned,
-        "displacement_statistics": measures | {"plan": some["plan"], "mask": 0.0},
-        "particles": measures | {"plan": some["plan"], "unmatched": "fade", "path_space": "srgb"},
-        "lift": {
-            "image": some["a"], "extent": "true", "mass": "uniform", "weights": None,
-            "color_space": "srgb", "color_metric": None, "color_weight": 2.0,
-        },
+        "displacement_statistics": measures | {"plan": some["plan"]},
+        "particles": measures | {"plan": some["plan"]},
+        "lift": {"image": some["a"]},
         "fit": {"image": some["a"], "size": 2},
-        "read_image": {"path": "a.png", "max_pixels": 1000},
-        "read_labels": {"path": "a.png", "max_pixels": 1000},
-        "load": {"path": "a.npz", "max_bytes": 1e9},
+        "read_image": {"path": "a.png"},
+        "read_labels": {"path": "a.png"},
+        "load": {"path": "a.npz"},
         "load_options": {"path": "a.npz"},
-        "get_backend": {"backend": "numpy"},
-        "save": {
-            "morphs": some["morph"], "path": "out.png", "format": None, "parameters": None,
-            "progress": Idle(),
-        } | playback,
+        "get_backend": {},
+        "save": {"morphs": some["morph"], "path": "out.png"} | {
+            name: MORPH[name] for name in ("fps", "duration", "hold", "loop", "reverse", "canvas",
+                                           "scaling", "background", "lossless")
+        },
         "Morph.device_frame": {"self": some["morph"], "t": 0.5, "queue": some["queue"]},
-        "Morph.sums": {"self": some["morph"], "t": 0.5, "widths": None},
-        "Morph.iter_frames": {"self": some["morph"], "first": 0},
+        "Morph.sums": {"self": some["morph"], "t": 0.5},
+        "Morph.iter_frames": {"self": some["morph"]},
         "Morph.save": {"self": some["morph"], "path": "out.png"},
         "Plan.mean_destinations": {
             "self": some["plan"], "source": some["source"].positions,
             "target": some["target"].positions,
         },
         "Plan.to_scipy": {"self": some["plan"]},
-        "Plan.toarray": {"self": some["plan"], "max_bytes": 1e6},
-        "Plan.to_device": {"self": some["plan"], "queue": some["queue"], "dtype": None},
+        "Plan.toarray": {"self": some["plan"]},
+        "Plan.to_device": {"self": some["plan"], "queue": some["queue"]},
         "Particles.mass": {"self": some["morph"].particles, "t": 0.5},
         "Potentials.map": {
             "self": some["potentials"], "points": some["source"].points, "target": some["target"],
-            "own": some["own"], "backend": "numpy",
+            "own": some["own"],
         },
         "Potentials.swapped": {"self": some["potentials"]},
         "Potentials.to_device": {
@@ -339,36 +286,26 @@ def cases() -> dict[str, dict[str, Any]]:
         },
         "Divergence.closer_than": {"self": some["divergence"], "other": some["divergence"]},
         "Inspection.save": {"self": some["inspection"], "path": "report.svg"},
-        "quality.frame_measure": of_morph | {"t": 0.5, "weights": "kernel", "sums": some["sums"]},
-        "quality.particle_measure": of_morph | {"t": 0.5, "max_points": 64},
-        "quality.path_divergence": of_morph | SOLVER | {
-            "times": [0.5], "to": "target", "weights": None, "blur": None, "reach": None,
-            "max_points": 64, "backend": "numpy", "progress": Idle(),
-        },
+        "quality.frame_measure": of_morph | {"t": 0.5, "sums": some["sums"]},
+        "quality.particle_measure": of_morph | {"t": 0.5},
+        "quality.path_divergence": of_morph | {"times": [0.5]},
         "quality.hole_fraction": {"coverage": np.ones((3, 3))},
         "quality.step_sizes": {"frames": [some["a"], some["b"]]},
         "quality.film_measures": {"frames": film, "particles": film, "times": (0.5,)},
         "quality.low_band_distance": {"frame": some["a"], "particles": some["b"]},
-        "baseline.channel_morph": images | STRENGTHS | SOLVER | WIDTHS | {
-            "n_frames": 2, "backend": "numpy", "extent": "true",
-        },
+        "baseline.channel_morph": images | PROBLEM | WIDTHS | {"n_frames": 2, "extent": "true"},
         "ChannelMorph.frame": {"self": some["channels"], "t": 0.5},
         "ChannelMorph.iter_frames": {"self": some["channels"]},
-        "reference.morph": images | STRENGTHS | SOLVER | WIDTHS | {
+        "reference.morph": images | PROBLEM | WIDTHS | {
             "n_frames": 2, "color_weight": 2.0, "extent": "true", "unmatched": "fade",
             "log_threshold": None,
         },
-        "reference.sinkhorn": measures | STRENGTHS | SOLVER,
-        "reference.transport_plan": measures | {
-            "potentials": some["potentials"], "log_threshold": None,
-        },
+        "reference.sinkhorn": measures | PROBLEM,
+        "reference.transport_plan": planned,
         "reference.cost_matrix": measures,
-        "reference.render": measures | {
-            "plan": some["reference"].plan, "t": 0.5, "sigma": 1.0, "unmatched": "fade",
-        },
+        "reference.render": measures | {"plan": some["reference"].plan, "t": 0.5, "sigma": 1.0},
         "ReferenceMorph.frame": {"self": some["reference"], "t": 0.5},
     }  # fmt: skip
-    given["quality.path_divergence"].pop("max_iter")
     frame, half = {"frame": some["a"]}, {"t": 0.5}
     for kind, names, good in (
         ("quality", "sharpness crumbs mean_gradient", frame),
@@ -379,8 +316,20 @@ def cases() -> dict[str, dict[str, Any]]:
         ("Morph", "frame coverage canvas", {"self": some["morph"]} | half),
         ("Rearrangement", "frame canvas", {"self": some["rearranged"]} | half),
     ):
-        given |= {f"{kind}.{name}": good for name in names.split()}
-    return given
+        own |= {f"{kind}.{name}": good for name in names.split()}
+    functions = public_functions()
+    return {name: _usual(functions[name]) | good for name, good in own.items()}
+
+
+def _usual(function: Callable[..., Any]) -> dict[str, Any]:
+    """Return the arguments of a function that have a default; all is calculated by NumPy."""
+    usual = {
+        each.name: each.default
+        for each in inspect.signature(function).parameters.values()
+        if each.default is not each.empty
+    }
+    fixed = {"backend": "numpy", "progress": Idle()}
+    return usual | {name: value for name, value in fixed.items() if name in usual}
 
 
 # --- the values -----------------------------------------------------------------------------
