@@ -70,11 +70,8 @@ def public_functions() -> dict[str, Callable[..., Any]]:
         ]
         for name in names:
             value = getattr(module, name)
-            if value in (
-                clmorph.MorphOptions,
-                clmorph.RearrangeOptions,
-                clmorph.RecolorOptions,
-            ):  # its other methods are for the stages
+            options = clmorph.MorphOptions, clmorph.RearrangeOptions, clmorph.RecolorOptions
+            if value in options:  # its other methods are for the stages
                 found |= {f"{name}.{each}": getattr(value, each) for each in ("replace", "as_dict")}
             elif isinstance(value, type):
                 made_here = name != "NumPyOperations" and not issubclass(value, Exception)
