@@ -578,7 +578,7 @@ def test_chains(rng, show):
     fields = [Field([[0.5, 0.5]], [[0.2, 0]]), Field([[0.5, 0.5]], [[0, 0.2]], begin=1, end=2)]
     frames = noise(rng, 5, (20, 20, 3))
     curve = Curve("kernel width", "pixels", [1, 2, 1, 2, 1])
-    opened = show(Scene(frames, times, field=fields, curves=[curve]))
+    opened = show(Scene(frames, times, fields=fields, curves=[curve]))
     opened.keyboard.press("f")
     shown = []
     for t in (0.5, 1.5):
