@@ -178,9 +178,12 @@ def cases() -> dict[str, dict[str, Any]]:
         "morph": images | MORPH,
         "morph_clip": MORPH | {
             "source": [some["a"]] * 3, "target": some["b"], "fps": 2.0, "detail": "layers",
-            "splatting": "local", "gamma": None, "sigma_start": "auto", "sigma_end": "auto",
+            "splatting": "local",
         },
-        "inspect": images | MORPH,
+        "inspect": images | {
+            name: MORPH[name] for name in inspect.signature(clmorph.inspect).parameters
+            if name in MORPH
+        },
         "rearrange": images | {"duration": None} | clmorph.RearrangeOptions(
             n_frames=2, size=None
         ).as_dict(),
