@@ -39,8 +39,7 @@ def test_pasted_pictures_and_landmarks_that_are_moved(opened, pictures):
     page.get_by_role("button", name="Landmark 1 in B").focus()
     after(page, lambda: page.keyboard.press("ArrowRight"))
     assert "--landmark" in page.input_value("#command")
-    page.keyboard.press("Delete")
-    previewed(page)
+    after(page, lambda: page.keyboard.press("Delete"))
     assert page.evaluate("studio.landmarks.pairs().length") == 0
     assert "--landmark" not in page.input_value("#command")
 
