@@ -61,6 +61,42 @@ PAIRS = {
 }
 
 
+def of_kind(kind, rng, n, m):
+    """Two clouds (weights, points) of a kind, in 1 to 5 dimensions."""
+    dimension = int(rng.integers(1, 6))
+    x, y = rng.random((n, dimension)), rng.random((m, dimension))
+    a, b = rng.random(n) + 0.01, rng.random(m) + 0.01
+    if kind == "picture":
+        t, u = np.linspace(0, 1, n), np.linspace(0, 1, m)
+        x = np.column_stack((t, 0.5 + 0.4 * np.sin(9 * t), t**2))
+        y = np.column_stack((u, 0.5 + 0.4 * np.cos(7 * u), 1 - u))
+    if kind == "two far clusters":
+        x = 0.1 * x + rng.integers(0, 2, (n, 1))
+        y = 0.1 * y + rng.integers(0, 2, (m, 1))
+    if kind == "many clusters":
+        x = 0.02 * x + 0.2 * rng.integers(0, 5, x.shape)
+        y = 0.02 * y + 0.2 * rng.integers(0, 5, y.shape)
+    if kind == "one place and many":
+        x[:] = x[0]
+    if kind == "equal":
+        x[:], y[:] = 0.4, 0.4
+    if kind == "line":
+        x[:, 1:], y[:, 1:] = 0, 0
+    if kind == "duplicates":
+        x, y = np.round(4 * x) / 4, np.round(4 * y) / 4
+    if kind == "ten orders":
+        a, b = 10 ** rng.uniform(-10, 0, n), 10 ** rng.uniform(-10, 0, m)
+    return (a, x), (b, y)
+
+
+def drawings(side):
+    """Two pictures with edges and slopes, (side, side, 3) each."""
+    y, x = np.mgrid[:side, :side] / side
+    one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
+    two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
+    return one, two
+
+
 def column_masks(operations, near):
     """Return the masks of near pairs of tiles: a (pairs, groups, words) array of uint64."""
     constants = operations.constants

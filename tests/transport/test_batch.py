@@ -1,7 +1,5 @@
 """Many problems at once: each as `sinkhorn` solves it, on every device and on NumPy."""
 
-import warnings
-
 import numpy as np
 import pytest
 from count_transfers import TransferCount
@@ -13,8 +11,6 @@ from clmorph.backends.numpy import NumPyOperations
 from clmorph.transport import certificate, sinkhorn_batch
 from clmorph.transport._solver import softmin
 from clmorph.transport._solver.reductions import WHOLE, Segments
-
-REFERENCE = NumPyOperations()
 
 
 def cloud(rng, n, dimension=3, zeros=0.0):
@@ -49,8 +45,7 @@ def assert_alike(found, pairs, backend, **options):
         if not alone.converged:
             continue
         # Certificates enclose one optimum.
-        assert ours.dual <= alone.primal
-        assert alone.dual <= ours.primal
+        assert max(ours.dual, alone.dual) <= min(ours.primal, alone.primal)
         assert true_residual(pair, ours) <= ours.residual <= options.get("tol", 1e-3)
         assert ours.residual == ours.residuals[-1]
         assert ours.certificate.masses == pytest.approx(alone.certificate.masses)
@@ -63,20 +58,19 @@ def assert_alike(found, pairs, backend, **options):
         )
 
 
-@pytest.mark.parametrize("reach", [0.3, None, (0.3, None), 0.01, 50.0])
-def test_each_problem_is_solved_as_by_sinkhorn(any_backend, rng, reach):
-    pairs = random_pairs(rng, zeros=0.2)
-    found = solve(pairs, blur=0.08, reach=reach, backend=any_backend)
+@pytest.mark.parametrize(
+    ("reach", "tol"),
+    [
+        (0.3, 1e-3), (None, 1e-3), ((0.3, None), 1e-3), (0.01, 1e-3), (50.0, 1e-3), (0.5, 1e-1),
+        (0.5, 1e-4), (0.5, 1e-6),
+    ],
+)  # fmt: skip
+def test_each_problem_is_solved_as_by_sinkhorn(any_backend, rng, reach, tol):
+    pairs, options = random_pairs(rng, zeros=0.2), {"blur": 0.1, "reach": reach, "tol": tol}
+    found = solve(pairs, **options, backend=any_backend)
     assert found.converged
     assert repr(found) == "<PotentialsBatch of 8 problems, all converged>"
-    assert_alike(found, pairs, any_backend, blur=0.08, reach=reach)
-
-
-@pytest.mark.parametrize("tol", [1e-1, 1e-4, 1e-6])
-def test_tolerances(any_backend, rng, tol):
-    pairs = random_pairs(rng, 5)
-    found = solve(pairs, 0.1, 0.5, tol, backend=any_backend)
-    assert_alike(found, pairs, any_backend, blur=0.1, reach=0.5, tol=tol)
+    assert_alike(found, pairs, any_backend, **options)
 
 
 def test_small_and_large_problems_in_units_of_epsilon(any_backend, rng):
@@ -117,8 +111,7 @@ def test_nasty_problems_side_by_side(any_backend, reach):
     found = solve(pairs, 0.05, reach, backend=any_backend)
     assert_alike(found, pairs, any_backend, blur=0.05, reach=reach)
     for each in found:
-        assert np.all(np.isfinite(each.f))
-        assert np.all(np.isfinite(each.g))
+        assert np.all(np.isfinite([*each.f, *each.g]))
 
 
 def test_stacked_arrays_are_a_list_of_measures(rng):
@@ -207,8 +200,6 @@ def test_hard_problems_take_the_iterations_of_a_solve_alone(any_backend, rng, bl
         assert ours.status == alone.status
         assert np.array_equal(ours.f, alone.f)
         assert ours.n_iter == alone.n_iter
-        assert ours.dual <= alone.primal
-        assert alone.dual <= ours.primal
 
 
 def test_many_pairs_are_solved_alone(monkeypatch, rng):
@@ -314,12 +305,12 @@ def test_iterations_that_run_out(any_backend, rng, max_iter):
         assert each.dual <= each.primal
 
 
+@pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
 def test_rounding_that_is_in_the_way_is_told(device, rng):
     pairs = [*random_pairs(rng, 2, (30, 60)), NASTY["one point each"]]
     pairs[2] = tuple((w, np.column_stack((x, [0.0]))) for w, x in pairs[2])
-    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
-        found = solve(pairs, 0.1, 0.3, 1e-12, 300, backend=device)
-        alone = [clmorph.sinkhorn(*pair, 0.1, 0.3, 1e-12, 300, backend=device) for pair in pairs]
+    found = solve(pairs, 0.1, 0.3, 1e-12, 300, backend=device)
+    alone = [clmorph.sinkhorn(*pair, 0.1, 0.3, 1e-12, 300, backend=device) for pair in pairs]
     assert found.statuses == [each.status for each in alone]
     assert "precision" in found.statuses
 

@@ -73,8 +73,8 @@ def test_certificates_of_hard_problems_enclose_one_optimum(any_backend, seed):
             alone = clmorph.sinkhorn(*pair, **options, backend=any_backend)
             assert ours.status == alone.status, number
             assert ours.n_iter == alone.n_iter, number
-            for one, other in ((ours, theirs), (theirs, ours), (ours, alone), (alone, ours)):
-                assert one.dual <= other.primal, number
+            for other in (theirs, alone):
+                assert max(ours.dual, other.dual) <= min(ours.primal, other.primal), number
             residual = true_residual(pair, ours)
             assert residual <= ours.residual * (1 + 1e-9), number
 
@@ -93,8 +93,7 @@ def test_batches_are_as_single_solves(any_backend, seed):
             alone = clmorph.sinkhorn(*pair, **options)
             assert plain[number].status == alone.status, number
             assert plain[number].n_iter == alone.n_iter, number
-            assert plain[number].dual <= alone.primal
-            assert alone.dual <= plain[number].primal
+            assert max(plain[number].dual, alone.dual) <= min(plain[number].primal, alone.primal)
             one, other = found[number], clmorph.sinkhorn_divergence(*pair, **options, gradient=True)
             for part in ("cross", "source_self", "target_self"):
                 assert getattr(one, part).status == getattr(other, part).status, (number, part)

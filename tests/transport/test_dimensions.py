@@ -43,8 +43,7 @@ def test_certificates(any_backend, rng, dimension, reach):
         moved = [(weights, points + offset) for weights, points in pair]
         found = clmorph.sinkhorn(*moved, BLUR, reach, backend=any_backend)
         assert found.converged
-        assert found.dual <= exact.primal
-        assert exact.dual <= found.primal
+        assert max(found.dual, exact.dual) <= min(found.primal, exact.primal)
         dual = exact_dual(*moved, found.f, found.g, reach)
         assert found.dual <= dual + 1e-10
         assert dual - found.dual <= 1e-3 * BLUR**2
@@ -85,8 +84,7 @@ def test_plans_and_stored_forms(any_backend, rng, dimension):
         *pair, BLUR, REACH, multiscale=True, truncation=1e-5, tol=1e-4, backend=any_backend
     )
     assert truncated.converged
-    assert truncated.dual <= found.primal
-    assert found.dual <= truncated.primal
+    assert max(truncated.dual, found.dual) <= min(truncated.primal, found.primal)
 
 
 @pytest.mark.parametrize("dimension", DIMENSIONS)
@@ -99,8 +97,7 @@ def test_batches_agree_with_single_problems(any_backend, rng, dimension):
         alone = clmorph.sinkhorn(*pair, **options)
         assert found.n_iter == alone.n_iter
         assert found.f == pytest.approx(alone.f, abs=1e-5)
-        assert found.dual <= alone.primal
-        assert alone.dual <= found.primal
+        assert max(found.dual, alone.dual) <= min(found.primal, alone.primal)
 
 
 def test_many_pairs_in_many_dimensions_are_summed_whole():

@@ -1,7 +1,5 @@
 """Gradients in closed form, against central differences of dense solves in float64."""
 
-import warnings
-
 import numpy as np
 import pytest
 from plain import reference
@@ -70,6 +68,7 @@ def test_divergence_against_differences(any_backend, rng, reach):
     check(found.gradient, lambda *moved: divergence(*moved, 0.2, reach), pair, rng, reach is None)
 
 
+@pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
 @pytest.mark.parametrize("reach", [0.3, None])
 @pytest.mark.parametrize("blur", [0.1, pytest.param(0.01, marks=pytest.mark.small)])
 def test_against_the_dense_plan(any_backend, rng, blur, reach):
@@ -77,8 +76,7 @@ def test_against_the_dense_plan(any_backend, rng, blur, reach):
     pair = problem(rng, reach is None, 30, 25, 3)
     (a, x), (_, y) = pair
     # some devices round so much that 1e-6 is out of reach
-    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
-        solved = clmorph.sinkhorn(*pair, blur, reach, 1e-6, 20000, any_backend)
+    solved = clmorph.sinkhorn(*pair, blur, reach, 1e-6, 20000, any_backend)
     assert solved.status == "converged" or (solved.status == "precision" and solved.residual < 1e-5)
     got = clmorph.gradient(*pair, solved, backend=any_backend)
     exact = clmorph.sinkhorn(*pair, blur, reach, 1e-9, 20000, "numpy")
@@ -176,8 +174,7 @@ def test_a_batch_gives_what_a_loop_gives(any_backend, rng, reach):
     for pair, got in zip(pairs, found, strict=True):
         want = clmorph.sinkhorn_divergence(*pair, 0.2, reach, **options)
         assert got.value == pytest.approx(want.value, rel=1e-5, abs=1e-7)
-        assert got.interval[0] <= want.interval[1]
-        assert want.interval[0] <= got.interval[1]
+        assert max(got.interval[0], want.interval[0]) <= min(got.interval[1], want.interval[1])
         largest = max(np.abs(getattr(want.gradient, name)).max() for name in NAMES)
         for name in NAMES:
             np.testing.assert_allclose(
@@ -190,6 +187,7 @@ def test_a_batch_gives_what_a_loop_gives(any_backend, rng, reach):
 
 
 @pytest.mark.full
+@pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
 def test_weights_of_measures_whose_points_hardly_share_mass(any_backend):
     """Plans of measures with themselves are nearly diagonal: they determine f + g alone."""
     rng = np.random.default_rng(0)
@@ -204,9 +202,8 @@ def test_weights_of_measures_whose_points_hardly_share_mass(any_backend):
     want = (values[0] - values[1]) / 2e-5
     options = {"blur": 0.05, "tol": 1e-6, "backend": any_backend, "gradient": True}
     # float32 ends the solve between both measures a little before
-    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
-        (batched,) = clmorph.sinkhorn_divergence_batch([pair[0]], [pair[1]], **options)
-        alone = clmorph.sinkhorn_divergence(*pair, **options)
+    (batched,) = clmorph.sinkhorn_divergence_batch([pair[0]], [pair[1]], **options)
+    alone = clmorph.sinkhorn_divergence(*pair, **options)
     for found in (batched, alone):
         assert found.gradient.source_weights @ direction == pytest.approx(want, rel=3e-4)
     for own in (batched.source_self, batched.target_self, clmorph.sinkhorn(pair[0], pair[0], 0.05)):

@@ -1,6 +1,5 @@
 """Search for counterexamples to properties that must hold for any measures."""
 
-import warnings
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain import sinkhorn
 
-import clmorph
+pytestmark = pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
 
 MANY = settings(max_examples=30, deadline=None, derandomize=True)
 seeds = st.integers(0, 10**6)
@@ -27,8 +26,7 @@ def problem(seed, n, m, order, dimension=3):
 
 
 def solve(pair, *arguments, **options):
-    with warnings.catch_warnings(action="ignore", category=clmorph.ConvergenceWarning):
-        return sinkhorn(*pair, *arguments, **({"backend": "numpy"} | options))
+    return sinkhorn(*pair, *arguments, **({"backend": "numpy"} | options))
 
 
 @MANY
@@ -50,8 +48,7 @@ def test_on_a_device_too(seed, n, m, order, blur, reach):
     want = solve(problem(seed, n, m, order), blur, reach, 1e-8, 50_000)
     assert got.converged
     rounding = 2e-5 * got.epsilon * got.transported_mass
-    assert got.dual - rounding <= want.primal
-    assert want.dual <= got.primal + rounding
+    assert max(got.dual, want.dual) - rounding <= min(got.primal, want.primal)
 
 
 @MANY

@@ -1,9 +1,6 @@
 """The solver on every device and on NumPy: closed forms, the reference, nasty measures."""
 
-import inspect
-
 import numpy as np
-import plain
 import pytest
 from plain import lift, reference, sinkhorn
 from scipy.special import logsumexp
@@ -30,12 +27,8 @@ def random_pair(rng, n=60, m=75, equal=False):
     return measure(rng.random((n, 5)) * scale, a), measure(rng.random((m, 5)) * scale, b)
 
 
-def dense_plan(source, target, potentials):
-    return reference.transport_plan(source, target, potentials)
-
-
-@pytest.mark.parametrize("reach", [0.05, 0.3, 2.0])
-@pytest.mark.parametrize(("a", "b"), [(1, 1), (0.2, 5), (1e-5, 1e5)])
+@pytest.mark.parametrize("reach", [0.05, 0.3, 2.0, 1e3])
+@pytest.mark.parametrize(("a", "b"), [(1, 1), (0.2, 5), (1, 5), (1e-5, 1e5)])
 def test_two_diracs(any_backend, a, b, reach):
     """log m = ((rho + eps)(log a + log b) - C) / (2 rho + eps)."""
     source = measure([[0.1, 0.2, 0.3, 0.4, 0.5]], [a])
@@ -45,24 +38,8 @@ def test_two_diracs(any_backend, a, b, reach):
     assert potentials.converged
     epsilon, rho = potentials.epsilon, potentials.rho
     want = ((rho + epsilon) * (np.log(a) + np.log(b)) - cost) / (2 * rho + epsilon)
-    assert np.log(dense_plan(source, target, potentials).sum()) == pytest.approx(want, abs=1e-5)
-
-
-def test_equal_measures_have_equal_potentials(any_backend, rng):
-    source, _ = random_pair(rng)
-    potentials = sinkhorn(source, source, 0.1, 0.3, tol=1e-5, backend=any_backend)
-    assert np.abs(potentials.f - potentials.g).max() < 1e-4 * potentials.epsilon
-
-
-@pytest.mark.parametrize("reach", [0.1, 0.3, 1.0])
-def test_optimality(any_backend, rng, reach):
-    """At the optimum pi 1 = a exp(-f / rho), pi^T 1 = b exp(-g / rho)."""
-    source, target = random_pair(rng)
-    potentials = sinkhorn(source, target, 0.1, reach, tol=1e-5, backend=any_backend)
-    plan = dense_plan(source, target, potentials)
-    rho = potentials.rho
-    assert np.allclose(plan.sum(1), source.weights * np.exp(-potentials.f / rho), rtol=1e-3)
-    assert np.allclose(plan.sum(0), target.weights * np.exp(-potentials.g / rho), rtol=1e-3)
+    plan = reference.transport_plan(source, target, potentials)
+    assert np.log(plan.sum()) == pytest.approx(want, abs=1e-5)
 
 
 def test_without_convergence_there_is_a_warning(rng):
@@ -75,26 +52,12 @@ def test_without_convergence_there_is_a_warning(rng):
     assert caught[0].filename == __file__
 
 
-def test_infinite_reach_is_balanced(rng):
-    source, target = random_pair(rng, equal=True)
-    assert sinkhorn(source, target, 0.2, np.inf, backend="numpy").reach is None
-
-
 def test_measures_must_fit_together():
     one = lift(np.zeros((2, 2)))
-    with pytest.raises(InputError, match="Measure"):
-        sinkhorn(np.zeros((4, 5, 2)), one, backend="numpy")
     with pytest.raises(InputError, match="color_weight"):
         sinkhorn(one, lift(np.zeros((2, 2)), 1.0), backend="numpy")
     with pytest.raises(InputError, match="extent"):
         sinkhorn(one, lift(np.zeros((2, 2)), extent="unit"), backend="numpy")
-
-
-def test_balanced_transport_needs_equal_masses():
-    one, two = lift(np.zeros((2, 2))), lift(np.zeros((2, 2)), weights=np.ones((2, 2)))
-    with pytest.raises(InputError, match="give a reach"):
-        sinkhorn(one, two, reach=None, backend="numpy")
-    assert plain.sinkhorn(one, two, backend="numpy").converged
 
 
 def dual(problem_data, f, g, epsilon, rho):
@@ -228,36 +191,3 @@ def test_the_residual_after_one_iteration(rng, swap):
     g = -damping * epsilon * logsumexp((potentials.f[:, None] - cost) / epsilon, axis=0, b=a)
     sides = [np.abs(f - potentials.f).max(), np.abs(g - potentials.g).max()]
     assert potentials.residual == pytest.approx(max(sides) / epsilon, rel=1e-9)
-
-
-def test_annealing_saves_iterations(rng):
-    source, target = random_pair(rng)
-    ours = sinkhorn(source, target, 0.05, 0.5, backend="numpy")
-    plain = reference.sinkhorn(source, target, 0.05, 0.5)
-    assert ours.n_iter < 0.95 * plain.n_iter
-
-
-def test_masses_that_differ_at_a_large_reach(any_backend):
-    """Two Diracs of masses 1 and 5 meet in the middle: sqrt(5)."""
-    point = [[0.5, 0.5, 0.5, 0.5, 0.5]]
-    source, target = measure(point, [1.0]), measure(point, [5.0])
-    potentials = sinkhorn(source, target, 0.05, 1e3, backend=any_backend)
-    assert dense_plan(source, target, potentials).sum() == pytest.approx(5**0.5, rel=2e-3)
-
-
-@pytest.mark.parametrize(
-    "function",
-    [
-        clmorph.barycentric_plan, clmorph.displacement_statistics, clmorph.fit, clmorph.lift,
-        clmorph.read_image, clmorph.reference.cost_matrix, clmorph.reference.render,
-        clmorph.reference.sinkhorn, clmorph.reference.transport_plan, clmorph.sample_plan,
-        clmorph.sinkhorn, clmorph.sinkhorn_divergence, clmorph.transport_plan,
-    ],
-    ids=lambda function: function.__name__,
-)  # fmt: skip
-def test_help_shows_the_names_of_types(function):
-    """Signatures name `Array` or `Backend` in place of the unions that these stand for."""
-    signature = str(inspect.signature(function))
-    assert len(signature) < 900
-    assert "[" not in signature.replace("tuple[", "").replace("PathLike[", "")
-    assert "numpy" not in signature
