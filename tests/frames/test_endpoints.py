@@ -5,6 +5,7 @@ from importlib import resources
 import numpy as np
 import pytest
 import skimage.data
+from benching import photographs
 from plain import morph
 
 from clmorph import fit, read_image
@@ -78,10 +79,7 @@ def test_first_and_last_steps_are_not_jumps(device, sigma, splatting):
     """At most 1.5 times the median step, in 30 frames, of photographs and to and from a sprite."""
     with resources.as_file(resources.files("clmorph.cli.samples") / "cat.png") as file:
         sprite = read_image(file)
-    first, second = (
-        fit(as_rgb(picture), 32)
-        for picture in (skimage.data.astronaut(), skimage.data.chelsea()[:, 75:375])
-    )
+    first, second = photographs((32, 32))
     for pair in ((first, second), (second, sprite), (sprite, first)):
         result = morph(
             *pair, n_frames=30, sigma_start=sigma, sigma_end=sigma, splatting=splatting,

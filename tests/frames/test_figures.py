@@ -268,7 +268,6 @@ class TestLogos:
         morph = clmorph.morph(pair[0], other, backend=device, preset="logo", **SMALL, **given)
         for t in TIMES:
             frame = morph.frame(t)
-            assert np.all(np.isfinite(frame))
             assert 0 <= frame.min() <= frame.max() <= 1
         assert np.abs(morph.frame(0.0)[..., 3] - pair[0][..., 3]).max() < 1e-5
         assert np.abs(morph.frame(1.0)[..., 3] - other[..., 3]).max() < 1e-5

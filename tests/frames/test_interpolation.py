@@ -10,12 +10,12 @@ def parts(request):
     rng = np.random.default_rng(5)
     source, target = lift(rng.random((9, 8, 3))), lift(rng.random((7, 11, 3)))
     potentials = sinkhorn(source, target, 0.1, request.param, backend="numpy")
-    return source, target, transport_plan(source, target, potentials, backend="numpy")
+    plan = transport_plan(source, target, potentials, backend="numpy")
+    return source, target, plan, particles(source, target, plan)
 
 
 def test_both_ends_have_the_images_masses(parts):
-    source, target, plan = parts
-    moving = particles(source, target, plan)
+    source, target, _, moving = parts
     for column, measure, offset in ((0, source, 0), (1, target, len(source))):
         points = moving.links[:, column].astype(int)
         here = moving.weights[:, column] > 0
@@ -26,8 +26,7 @@ def test_both_ends_have_the_images_masses(parts):
 
 
 def test_both_ends_stand_on_the_pixels(parts):
-    source, target, plan = parts
-    moving = particles(source, target, plan)
+    source, target, plan, moving = parts
     ends = moving.table[moving.links[:, 0]][: len(plan)]
     assert np.array_equal(ends[:, :2], source.positions[plan.rows])
     assert np.array_equal(ends[:, 2:5], source.colors[plan.rows])
@@ -37,13 +36,12 @@ def test_both_ends_stand_on_the_pixels(parts):
 
 
 def test_unmatched_mass_rests(parts):
-    source, target, plan = parts
-    moving = particles(source, target, plan)
+    *_, plan, moving = parts
     assert np.array_equal(moving.links[len(plan) :, 0], moving.links[len(plan) :, 1])
 
 
 def test_dropping_unmatched_mass_leaves_the_plan(parts):
-    source, target, plan = parts
+    source, target, plan, _ = parts
     moving = particles(source, target, plan, unmatched="drop")
     assert len(moving) == len(plan)
     assert np.array_equal(moving.weights, np.column_stack((plan.mass, plan.mass)))

@@ -56,27 +56,3 @@ def test_many_groups_on_a_tall_canvas(any_backend, rng):
     for number in there[-2:]:
         (alone,) = densities(groups[number : number + 1])
         assert np.abs(together[number] - alone).max() < 5e-4 * alone.max(), number
-
-
-def test_nothing_leaks_into_the_next_group(any_backend, rng):
-    """A group at the lower border, far from a group that is drawn below it."""
-    particles = clmorph.morph(
-        rng.random((8, 8, 3)), rng.random((8, 8, 3)), n_frames=2, preset="paper", backend="numpy"
-    ).particles
-    links = particles.links[:, 0]
-    rows = particles.table[links, 1]
-    groups = [np.flatnonzero(rows == rows.max()), np.flatnonzero(rows == rows.min())]
-    groups.append(groups[0])
-    canvas = canvas_at(0.0, (8, 8), (8, 8))
-    first, second, third = (
-        density
-        for _, density in Parts(
-            clmorph.get_backend(any_backend), particles, particles.table, groups
-        ).drawn(0.0, canvas, 0.45)
-    )
-    assert np.argmax(first.sum(axis=1)) == np.argmax(third.sum(axis=1)) == 7
-    assert np.argmax(second.sum(axis=1)) == 0
-    assert not second[4:].any()
-    assert not first[:4].any()
-    assert not third[:4].any()
-    np.testing.assert_allclose(first, third, rtol=1e-4)

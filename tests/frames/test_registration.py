@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from drawn_pictures import logo
 from picture_pairs import picture
-from scipy.ndimage import gaussian_filter, label, shift
+from scipy.ndimage import gaussian_filter, label
 
 import clmorph
 from clmorph.frames import figures
 from clmorph.frames.ends import End
-from clmorph.frames.registration import COARSE, FINE, LONGEST, SOFTENING, _contrast, _flow
+from clmorph.frames.registration import FINE, LONGEST, SOFTENING, _flow
 
 SMALL = {"n_frames": 3, "solve_size": 24}
 RED = np.array([0.8, 0.1, 0.1])
@@ -36,17 +36,6 @@ def seen(frame):
 
 
 class TestFlow:
-    def test_it_finds_a_shift(self):
-        rng = np.random.default_rng(0)
-        image = gaussian_filter(rng.normal(size=(96, 128)), 3.0)
-        images = [
-            _contrast(each, COARSE.width)
-            for each in (image, shift(image, (2.0, -3.0), order=3, mode="nearest"))
-        ]
-        flow = _flow(images, COARSE.radius, LONGEST, SOFTENING)
-        inner = flow[:, 12:-12, 12:-12]
-        assert np.abs(inner - np.array([2.0, -3.0])[:, None, None]).max() < 0.25
-
     def test_nothing_moves_where_nothing_is_seen(self):
         """What flat windows seem to say is noise; an edge says nothing of motion along it."""
         rng = np.random.default_rng(0)
@@ -178,15 +167,6 @@ class TestOutlines:
         near = np.abs(exact) < 0.45
         assert np.abs(figure.distance - exact)[near].max() < 0.06
         assert np.abs(figure.distance - exact).max() < 1.0
-
-    def test_glass_has_sharp_outlines_and_its_opacity_everywhere(self):
-        image = logo("star", 64, ground=None) * (1, 1, 1, 0.5)
-        (figure,) = figures.figures_of(
-            [clmorph.lift(image)], [End(image[..., :3], image[..., 3], "true")]
-        )
-        assert figure.softness == 1.0
-        assert figure.translucent
-        np.testing.assert_allclose(figure.alpha, 0.5, atol=0.01)
 
 
 def test_borders_do_not_leave_the_picture(device):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import skimage.data
+from benching import photographs
 from plain import morph
 
 from clmorph import InputError, fit
@@ -47,10 +48,7 @@ def test_images_without_detail():
 
 @pytest.fixture(scope="module")
 def pair():
-    return [
-        fit(as_rgb(picture), 24)
-        for picture in (skimage.data.coffee()[:, 100:500], skimage.data.chelsea()[:, 75:375])
-    ]
+    return photographs((24, 24))
 
 
 @pytest.mark.full

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 import clmorph
 from clmorph import InputError
+from clmorph.analysis.metrics import path_divergence
 from clmorph.cli.main import main
 from clmorph.measures.landmark_options import read_landmarks
 from clmorph.measures.landmarks import HEIGHT, bump_radius, guided
@@ -278,8 +279,6 @@ def test_the_divergence_of_frames_compares_pictures(rng):
     """It has no landmarks: with and without them the last frame is the target."""
     a, b = rng.random((2, 8, 8, 3))
     morph = plain.morph(a, b, n_frames=2, landmarks=[((3, 3), (4, 4))], backend="numpy")
-    from clmorph.analysis.metrics import path_divergence
-
     assert path_divergence(morph, [1.0])[0].value < 1e-4
 
 

@@ -47,12 +47,6 @@ def test_lift(rng):
     assert measure.mass == pytest.approx(1)
 
 
-def test_given_weights(rng):
-    weights = rng.random((4, 6))
-    weights[0] = 0
-    assert np.array_equal(lift(np.zeros((4, 6)), weights=weights).weights, weights.ravel())
-
-
 def test_masses(rng):
     image = rng.random((4, 6, 4))
     image[0, :, 3] = 0

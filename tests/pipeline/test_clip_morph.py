@@ -181,11 +181,8 @@ def loudness(sound, tone, begin, end):
 
 def test_films_and_their_sounds(device, films, capfd):
     """Rates and lengths are kept, and one tone fades into the other."""
-    device_name = next(
-        each.index for each in find_devices()
-        if each.handle == device.device
-    )  # fmt: skip
-    arguments = ["--duration", "0.5", "--size", "16", "--device", device_name]
+    index = next(each.index for each in find_devices() if each.handle == device.device)
+    arguments = ["--duration", "0.5", "--size", "16", "--device", index]
     line = ["morph", "one.mp4", "two.webm", "-o", "a.mp4", "-o", "b.webm", *arguments]
     assert main(line) == 0
     assert "50 frames, 2.5 s" in capfd.readouterr().out

@@ -8,6 +8,7 @@ from drawn_pictures import logo, sprite
 from PIL import Image
 
 import clmorph
+from clmorph.cli.main import main
 from clmorph.errors import InputError, OutputError
 from clmorph.pipeline.mixing.weights import grid_layout, path_weights
 
@@ -219,8 +220,6 @@ class TestCommand:
 
     @pytest.mark.full
     def test_a_grid_in_one_picture(self, files, tmp_path, capsys):
-        from clmorph.cli.main import main
-
         out = tmp_path / "grid.png"
         given = ["mix", *files, "--grid", "2x3", "-o", str(out), "--backend", "numpy", "--json"]
         assert main(given) == 0
@@ -237,8 +236,6 @@ class TestCommand:
 
     @pytest.mark.full
     def test_a_film_of_a_path(self, files, tmp_path, refused):
-        from clmorph.cli.main import main
-
         out = tmp_path / "film.apng"
         given = ["mix", *files[:3], "--path", "ab+", "--frames", "3", "-o", str(out), "--recipe"]
         assert main([*given, "--backend", "numpy"]) == 0
@@ -253,8 +250,6 @@ class TestCommand:
 
     @pytest.mark.full
     def test_recipes_of_sheets(self, files, tmp_path, capsys):
-        from clmorph.cli.main import main
-
         out, again = tmp_path / "grid.png", tmp_path / "again.png"
         for shown in (["--grid", "3"], ["--weights", "1,0", "--weights", "1,3"]):
             given = ["mix", *files[:2], *shown, "-o", str(out), "--backend", "numpy"]

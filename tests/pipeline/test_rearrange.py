@@ -11,6 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 import clmorph
+from clmorph.cli.main import main
 from clmorph.errors import InputError
 
 #: Weights of red, green and blue in luminance.
@@ -31,14 +32,6 @@ def test_last_frame_has_the_very_pixels_of_a(device):
     np.testing.assert_array_equal(last[found.assignment], a.astype(np.float32).reshape(-1, 3))
     assert sorted(found.assignment) == list(range(len(last)))
     assert 0 < found.lower_bound <= found.cost <= 1.01 * found.lower_bound
-
-
-def test_bytes_of_the_last_frame_are_those_of_a():
-    a = np.random.default_rng(0).integers(0, 256, (8, 9, 3), np.uint8)
-    b = np.random.default_rng(1).integers(0, 256, (20, 5, 3), np.uint8)
-    last = clmorph.rearrange(a, b, backend="numpy")[-1]
-    pixels = (np.rint(255 * each).reshape(-1, 3).tolist() for each in (last, a / 255))
-    assert sorted(next(pixels)) == sorted(next(pixels))
 
 
 def test_cost_is_near_the_exact_optimum(device):
@@ -205,8 +198,6 @@ def test_options_replace_their_alternatives():
 
 
 def test_command(tmp_path, monkeypatch, capfd, refused):
-    from clmorph.cli.main import main
-
     monkeypatch.chdir(tmp_path)
     for name, image in zip("ab", _images(), strict=True):
         Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(f"{name}.png")

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 import clmorph
+from clmorph.cli.main import main
 from clmorph.errors import InputError
 from clmorph.images.color import COLOR_SPACES, into_gamut, to_space
 from clmorph.pipeline import recolor as module
@@ -155,7 +156,6 @@ def test_small_pictures(shape):
     for like in (scene(1, 5), np.zeros((1, 1)), np.ones((2, 2, 3))):
         found = clmorph.recolor(a, like, backend="numpy")
         assert found.shape == (*shape, 3)
-        assert np.isfinite(found).all()
         assert 0 <= found.min() <= found.max() <= 1
     np.testing.assert_allclose(
         clmorph.recolor(a, np.full((1, 1, 3), 0.25), reach=None, backend="numpy").mean(),
@@ -273,8 +273,6 @@ def as_bytes(name):
 
 
 def test_command(tmp_path, monkeypatch, capfd, refused):
-    from clmorph.cli.main import main
-
     monkeypatch.chdir(tmp_path)
     for name, seed in (("photo.png", 0), ("like.png", 1)):
         Image.fromarray(np.rint(255 * scene(seed)).astype(np.uint8)).save(name)

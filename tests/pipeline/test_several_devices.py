@@ -127,14 +127,8 @@ def test_each_device_renders_its_share(device, monkeypatch):
 
 def test_details_are_registered_once(device, monkeypatch):
     several = KINDS["halves"](device)
-    made = []
-    register = Scene.meet_details
-
-    def counted(scene):
-        made.append(1)
-        return register(scene)
-
-    monkeypatch.setattr(Scene, "meet_details", counted)
+    made, register = [], Scene.meet_details
+    monkeypatch.setattr(Scene, "meet_details", lambda scene: made.append(1) or register(scene))
     list(clmorph.morph(*pictures(), n_frames=9, backend=several).iter_frames())
     assert made == [1]
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from skimage import data
-from skimage.transform import resize
+from benching import photographs
 
 import clmorph
 from clmorph.pipeline import prepare
@@ -17,14 +16,6 @@ OPTIONS = {
 }
 
 
-def photographs(*shapes):
-    pictures = data.astronaut(), data.chelsea()[:, 75:375]
-    return [
-        resize(picture / 255.0, shape, anti_aliasing=True)
-        for picture, shape in zip(pictures, shapes, strict=True)
-    ]
-
-
 @pytest.fixture
 def few(monkeypatch):
     """Pictures above 24 pixels are large."""
@@ -33,7 +24,7 @@ def few(monkeypatch):
 
 @pytest.mark.small
 def test_frames_are_as_large_as_the_pictures_and_end_in_them(few, any_backend):
-    a, b = photographs((48, 36), (40, 60))
+    a, b = photographs((48, 36))[0], photographs((40, 60))[1]
     morph = clmorph.morph(a, b, backend=any_backend, **OPTIONS)
     assert morph.source.shape == (24, 18)
     assert max(morph.target.shape) == 24
@@ -49,7 +40,7 @@ def test_frames_are_as_large_as_the_pictures_and_end_in_them(few, any_backend):
 
 @pytest.mark.full
 def test_they_look_as_if_pixels_were_lifted(monkeypatch):
-    a, b = photographs((80, 80), (80, 80))
+    a, b = photographs((80, 80))
     frames = []
     for most in (40, 512):
         monkeypatch.setattr(prepare, "MOST_CARRIED", most)
@@ -76,7 +67,7 @@ def test_they_look_as_if_pixels_were_lifted(monkeypatch):
     ],
 )
 def test_where_pixels_themselves_are_lifted(few, given):
-    a, b = photographs((30, 30), (30, 30))
+    a, b = photographs((30, 30))
     options = OPTIONS | {"solve_size": None if "color_metric" in given else 16} | given
     morph = clmorph.morph(a, b, backend="numpy", **options)
     assert morph.pictures is None
@@ -84,14 +75,14 @@ def test_where_pixels_themselves_are_lifted(few, given):
 
 
 def test_opaque_pictures_alone(few):
-    a, b = photographs((30, 30), (30, 30))
+    a, b = photographs((30, 30))
     a = np.dstack((a, np.linspace(0, 1, 900).reshape(30, 30)))
     assert clmorph.morph(a, b, backend="numpy", **OPTIONS).pictures is None
 
 
 @pytest.mark.full
 def test_files_and_chains(few, tmp_path):
-    a, b = photographs((30, 30), (30, 30))
+    a, b = photographs((30, 30))
     first = clmorph.morph(a, b, backend="numpy", **OPTIONS)
     second = clmorph.morph(b, a, backend="numpy", **OPTIONS)
     clmorph.save([first, second], tmp_path / "out.html")

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from clmorph.transport.assignment import assign, merged, permutation_cost
+from clmorph.transport.assignment import assign, permutation_cost
 
 
 def _clouds(n: int, dimensions: int = 5) -> tuple[np.ndarray, np.ndarray]:
@@ -54,16 +54,3 @@ def test_destinations_begin_the_search():
     found = assign(source, target, destinations=target[order])
     begun = permutation_cost(source, target, order)
     assert found.cost <= min(begun, permutation_cost(source, target, np.arange(400)))
-
-
-def test_merged_permutation_is_cheaper_than_both():
-    source, target = _clouds(300)
-    rng = np.random.default_rng(4)
-    first = np.arange(300)
-    second = first.copy()
-    for block in np.arange(300).reshape(-1, 5):  # cycles of five
-        second[block] = rng.permutation(block)
-    found = merged(first, second, source, target)
-    assert sorted(found) == list(range(300))
-    costs = [permutation_cost(source, target, each) for each in (first, second, found)]
-    assert costs[2] < min(costs[:2])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from clouds import PAIRS
 from count_transfers import TransferCount
 from residuals import true_residual
 
@@ -10,7 +11,6 @@ from clmorph import ConvergenceWarning, InputError
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.transport import certificate, sinkhorn_batch
 from clmorph.transport._solver import softmin
-from clmorph.transport._solver.reductions import WHOLE, Segments
 
 
 def cloud(rng, n, dimension=3, zeros=0.0):
@@ -83,31 +83,19 @@ def test_small_and_large_problems_in_units_of_epsilon(any_backend, rng):
     assert [each.precise for each in found] == want
 
 
-NASTY = {
-    "one point each": (([1.0], [[0.1, 0.2]]), ([1.0], [[0.3, 0.1]])),
-    "unequal masses": (([1e-3], [[0.1, 0.2]]), ([1e3], [[0.3, 0.1]])),
-    "one and many": (([1.0], [[0.1, 0.2]]), (np.full(70, 1 / 70), np.full((70, 2), 0.5))),
-    "equal points": (
-        (np.full(65, 1 / 65), np.full((65, 2), 0.3)), (np.full(9, 1 / 9), np.full((9, 2), 0.3)),
-    ),
-    "one mass among zeros": (
-        (np.eye(130)[77], np.random.default_rng(1).random((130, 2))),
-        (np.eye(64)[0], np.random.default_rng(2).random((64, 2))),
-    ),
-    "ten orders of mass": (
-        (10.0 ** -np.linspace(0, 10, 40), np.random.default_rng(3).random((40, 2))),
-        (10.0 ** -np.linspace(10, 0, 50), np.random.default_rng(4).random((50, 2))),
-    ),
-    "far away": (
-        (np.full(20, 0.05), 500 + np.random.default_rng(5).random((20, 2))),
-        (np.full(30, 1 / 30), 500 + np.random.default_rng(6).random((30, 2))),
-    ),
-}  # fmt: skip
+def nasty_pairs(rng):
+    names = "one and many", "all equal", "one mass among zeros", "ten orders of mass"
+    return [
+        *(tuple((weights, x) for x, weights in PAIRS[name](rng)) for name in names),
+        (([1e-3], [[0.1, 0.2]]), ([1e3], [[0.3, 0.1]])),
+        tuple((weights, x + 500) for weights, x in random_pairs(rng, 1)[0]),
+        *random_pairs(rng, 1, (1, 2)),
+    ]
 
 
 @pytest.mark.parametrize("reach", [1e-3, 0.3, 1e3])
-def test_nasty_problems_side_by_side(any_backend, reach):
-    pairs = list(NASTY.values())
+def test_nasty_problems_side_by_side(any_backend, rng, reach):
+    pairs = nasty_pairs(rng)
     found = solve(pairs, 0.05, reach, backend=any_backend)
     assert_alike(found, pairs, any_backend, blur=0.05, reach=reach)
     for each in found:
@@ -153,23 +141,6 @@ def test_images_and_maps_of_metrics(any_backend, rng):
         assert plan.mass.sum() == pytest.approx(ours.transported_mass, rel=0.02)
 
 
-@pytest.mark.parametrize("counts", [[22], [5] * 3, [2] * 3, [33] * 4, [5, 90, 33, 2]], ids=str)
-def test_reductions_of_many_problems_have_the_bits_of_one(rng, counts):
-    """However many vectors there are: a problem alone has stored fewer than others."""
-    of, ends = Segments(np.array(counts)), np.cumsum(counts)
-    x, y, many = rng.random(ends[-1]), rng.random(ends[-1]), rng.standard_normal((16, ends[-1]))
-    factors = rng.standard_normal((len(counts), 16)) * (np.arange(16) < 5)
-    for number, (count, end) in enumerate(zip(counts, ends, strict=True)):
-        own = slice(end - count, end)
-        alone = many[:5, own].copy()
-        assert of.sum(x)[number] == WHOLE.sum(x[own].copy())
-        assert of.inner(x, y)[number] == WHOLE.inner(x[own].copy(), y[own].copy())
-        products = of.inner_each(many, x)[number, :5]
-        assert np.array_equal(products, WHOLE.inner_each(alone, x[own].copy()))
-        combined = of.combined(factors, many)[own]
-        assert np.array_equal(combined, WHOLE.combined(factors[number, :5], alone))
-
-
 def test_a_part_at_a_time_gives_the_same(monkeypatch, rng):
     pairs = random_pairs(rng, 9)
     whole = solve(pairs, 0.1, 0.3, backend="numpy")
@@ -191,7 +162,7 @@ def test_a_part_at_a_time_gives_the_same(monkeypatch, rng):
 @pytest.mark.parametrize(("blur", "reach"), [(0.005, 0.3), (0.02, None), (0.05, (0.2, None))])
 def test_hard_problems_take_the_iterations_of_a_solve_alone(any_backend, rng, blur, reach):
     """To the last bit, as hundreds of iterations multiply any rounding."""
-    pairs = random_pairs(rng, 5, (20, 150))
+    pairs = random_pairs(rng, 5, (20, 150)) + random_pairs(rng, 3, (2, 6))
     spread = [[(10 ** rng.uniform(-12, 0, len(x)), x) for _, x in pair] for pair in pairs[:2]]
     pairs += [tuple((w / w.sum(), x) for w, x in pair) for pair in spread]
     found = solve(pairs, blur, reach, max_iter=3000, backend=any_backend)
@@ -307,8 +278,7 @@ def test_iterations_that_run_out(any_backend, rng, max_iter):
 
 @pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
 def test_rounding_that_is_in_the_way_is_told(device, rng):
-    pairs = [*random_pairs(rng, 2, (30, 60)), NASTY["one point each"]]
-    pairs[2] = tuple((w, np.column_stack((x, [0.0]))) for w, x in pairs[2])
+    pairs = [*random_pairs(rng, 2, (30, 60)), *random_pairs(rng, 1, (1, 2))]
     found = solve(pairs, 0.1, 0.3, 1e-12, 300, backend=device)
     alone = [clmorph.sinkhorn(*pair, 0.1, 0.3, 1e-12, 300, backend=device) for pair in pairs]
     assert found.statuses == [each.status for each in alone]

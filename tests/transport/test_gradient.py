@@ -80,7 +80,7 @@ def test_against_the_dense_plan(any_backend, rng, blur, reach):
     assert solved.status == "converged" or (solved.status == "precision" and solved.residual < 1e-5)
     got = clmorph.gradient(*pair, solved, backend=any_backend)
     exact = clmorph.sinkhorn(*pair, blur, reach, 1e-9, 20000, "numpy")
-    plan = reference.transport_plan(*map(as_points, pair), exact)
+    plan = reference.transport_plan(*pair, exact)
     forth = plan.sum(axis=1)[:, None] * x - plan @ y
     back = plan.sum(axis=0)[:, None] * y - plan.T @ x
     np.testing.assert_allclose(got.source_points, forth, atol=TOLERANCE * np.abs(forth).max())
@@ -93,10 +93,6 @@ def test_against_the_dense_plan(any_backend, rng, blur, reach):
         mass = plan.sum()
         want = (rho + epsilon * pair[1][0].sum()) * a.sum() - (rho + epsilon) * mass
         assert a @ got.source_weights == pytest.approx(want, rel=1e-5)
-
-
-def as_points(measure):
-    return clmorph.WeightedPoints(measure[1], measure[0])
 
 
 @pytest.mark.small

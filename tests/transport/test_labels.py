@@ -4,10 +4,12 @@ import numpy as np
 import plain
 import pytest
 from numpy.testing import assert_allclose
+from scipy.special import kl_div, logsumexp
 
 import clmorph
 from clmorph import InputError
 from clmorph.images.label_maps import reduced_labels
+from clmorph.transport import subproblems
 from clmorph.transport._solver import softmin
 from clmorph.transport.regularization import regularization
 
@@ -35,33 +37,18 @@ def masked_plan(source, target, labels, blur, reach, rounds=4000):
     cost[labels[0].ravel()[:, None] != labels[1].ravel()[None]] = np.inf
     epsilon, rho = blur**2, reach**2
     f, g = np.zeros(len(a)), np.zeros(len(b))
-    damping = rho / (rho + epsilon)
-
-    def softmin(potential, weights, costs):
-        exponents = (potential[None] - costs) / epsilon + np.log(weights)[None]
-        top = exponents.max(axis=1)
-        safe = np.where(np.isfinite(top), top, 0.0)
-        with np.errstate(divide="ignore"):
-            total = np.log(np.exp(exponents - safe[:, None]).sum(axis=1))
-        return -epsilon * (total + safe)
-
+    damping = -epsilon * rho / (rho + epsilon)
     for _ in range(rounds):
-        f = damping * softmin(g, b, cost)
-        g = damping * softmin(np.where(np.isfinite(f), f, 0.0), a, cost.T)
+        f = damping * logsumexp((g - cost) / epsilon, axis=1, b=b)
+        g = damping * logsumexp((np.where(np.isfinite(f), f, 0) - cost.T) / epsilon, axis=1, b=a)
     finite = np.isfinite(f)
     plan = np.zeros(cost.shape)
     plan[finite] = (
         np.exp((f[finite, None] + g[None] - cost[finite]) / epsilon) * a[finite, None] * b[None]
     )
-
-    def divergence(p, q):
-        terms = np.where(p > 0, p * np.log(np.where(p > 0, p, 1) / q), 0.0)
-        return np.sum(terms - p + q)
-
     value = np.sum(plan[plan > 0] * cost[plan > 0])
-    value += rho * (divergence(plan.sum(1), a) + divergence(plan.sum(0), b))
-    value += epsilon * divergence(plan, a[:, None] * b[None])
-    return plan, value
+    value += rho * (kl_div(plan.sum(1), a).sum() + kl_div(plan.sum(0), b).sum())
+    return plan, value + epsilon * kl_div(plan, a[:, None] * b).sum()
 
 
 @pytest.mark.small
@@ -244,16 +231,14 @@ def test_a_label_of_all_pixels_changes_nothing(rng):
 
 def test_large_labels_go_through_coarser_problems(monkeypatch, rng):
     """The problem of each label is solved as `clmorph.sinkhorn` solves one."""
-    from clmorph.transport import subproblems as module
-
     a, b, labels = pictures(rng, 24, 24)
     given = regularization(0.05, 0.3, None, None)
     source, target = plain.lift(a), plain.lift(b)
-    found = module.by_label(source, target, labels, None, given)
+    found = subproblems.by_label(source, target, labels, None, given)
     assert [part.label for part in found] == [0, 5]
     with monkeypatch.context() as changed:
         changed.setattr(softmin, "MANY_PAIRS", 1)
-        solved, whole = module.solve_parts(
+        solved, whole = subproblems.solve_parts(
             found, (source.mass, target.mass), given, 1e-3, 2000, clmorph.get_backend("numpy"),
             lambda share: None,
         )  # fmt: skip

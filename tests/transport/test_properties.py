@@ -30,23 +30,16 @@ def solve(pair, *arguments, **options):
 
 
 @MANY
-@given(seeds, sizes, sizes, orders, blurs, reaches)
+@given(seeds, sizes, sizes, orders, st.sampled_from([0.003, 0.05, 0.3, 1.0]), reaches)
 def test_every_number_is_finite_and_bounds_are_bounds(seed, n, m, order, blur, reach):
-    got = solve(problem(seed, n, m, order), blur, reach)
-    assert got.converged
-    for values in (got.f, got.g, got.row_mass, got.column_mass, got.residuals, got.primal):
-        assert np.all(np.isfinite(values))
-    assert got.gap >= 0
-    assert got.residual <= 1e-3
-    assert np.all(got.row_mass >= 0)
-
-
-@MANY
-@given(seeds, sizes, sizes, orders, st.sampled_from([0.003, 0.05, 1.0]), reaches)
-def test_on_a_device_too(seed, n, m, order, blur, reach):
     got = solve(problem(seed, n, m, order), blur, reach, 1e-2, 5000, backend="auto")
     want = solve(problem(seed, n, m, order), blur, reach, 1e-8, 50_000)
     assert got.converged
+    assert want.residual <= 1e-3
+    for each in (got, want):
+        for values in (each.f, each.g, each.row_mass, each.column_mass, each.residuals, each.gap):
+            assert np.all(np.isfinite(values))
+        assert min(each.gap, *each.row_mass) >= 0
     rounding = 2e-5 * got.epsilon * got.transported_mass
     assert max(got.dual, want.dual) - rounding <= min(got.primal, want.primal)
 

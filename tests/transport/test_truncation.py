@@ -10,13 +10,12 @@ from clouds import drawings, of_kind
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from plain import sinkhorn
+from residuals import true_errors
 
 import clmorph
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.pipeline.budget import predict_pairs
-from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import LEAST_RESERVE, MANY_PAIRS, Softmin, many_pairs
-from clmorph.transport.regularization import regularization
 
 MANY = settings(max_examples=60, deadline=None, derandomize=True)
 BLURS = [0.005, 0.02, 0.05, 0.15, 0.5]
@@ -26,16 +25,6 @@ CLOUDS = ["random", "picture", "equal", "line", "two far clusters", "many cluste
 
 def pair_of(*given):
     return [(weights / weights.sum(), points) for weights, points in of_kind(*given)]
-
-
-def exact_residual(pair, got):
-    """Residual and certificate over all pairs, in float64."""
-    given = regularization(got.blur, got.reach)
-    measures = clmorph.measures.points.as_pair(*pair)
-    problem = Problem.between(clmorph.get_backend("numpy"), *measures, given.rho)
-    softmins = problem.to_rows(got.g, given.epsilon), problem.to_columns(got.f, given.epsilon)
-    residual = problem.residual(got.f, got.g, *softmins, given.epsilon)
-    return residual, problem.certificate(got.f, got.g, *softmins, given.epsilon)
 
 
 @pytest.mark.parametrize("backend", ["numpy", "auto"])
@@ -59,7 +48,7 @@ def test_everything_said_holds_over_all_pairs(backend, multiscale, seed, kind, b
     assert got.truncation == budget
     assert 0 <= got.truncation_error <= budget + 1e-6
     assert 0 < got.visited <= 1
-    residual, certificate = exact_residual(pair, got)
+    residual, certificate = true_errors(pair, got)
     # The reference's own, in float64.
     rounding = 1e-10
     assert residual <= got.residual + rounding
@@ -103,7 +92,7 @@ def test_verify_takes_all_pairs(device, rng):
     got = sinkhorn(*pair, 0.02, 0.3, 1e-2, backend=device, truncation=1e-3, verify=True)
     assert (got.truncation, got.visited) == (1e-3, 1.0)
     assert got.truncation_error < 1e-8
-    residual, certificate = exact_residual(pair, got)
+    residual, certificate = true_errors(pair, got)
     assert residual - 1e-10 <= got.residual <= residual + 1e-7
     assert got.dual == pytest.approx(certificate.dual, rel=1e-8)
 
