@@ -87,11 +87,3 @@ def test_first_and_last_steps_are_not_jumps(device, sigma, splatting):
         )  # fmt: skip
         steps = step_sizes(result.frames)
         assert max(steps[0], steps[-1]) <= 1.5 * np.median(steps)
-
-
-def test_other_sizes(device, images):
-    small = images[1][::4, ::4]
-    result = morph(images[0], small, n_frames=5, backend=device)
-    assert result.frames[-1].shape == (8, 8, 3)
-    assert _psnr(result.frames[0], images[0]) >= 45
-    assert _psnr(result.frames[-1], small) >= 45

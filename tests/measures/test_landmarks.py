@@ -13,7 +13,6 @@ import clmorph
 from clmorph import InputError
 from clmorph.analysis.metrics import path_divergence
 from clmorph.cli.main import main
-from clmorph.measures.landmark_options import read_landmarks
 from clmorph.measures.landmarks import HEIGHT, bump_radius, guided
 from clmorph.measures.measure import check_measure
 from clmorph.output.provenance import read_parameters
@@ -291,7 +290,7 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng, refuse
     written = {}
     for name, given in {
         "one": ["--landmark", "5,5:6,6", "--landmark", "9,7:8,8"],
-        "two": ["--landmark", "5,5:6,6 9,7:8,8"],
+        "two": ["--landmark", "5,5:6,6; 9,7:8,8"],
         "file": ["--landmark", "pairs.csv"],
         "none": ["--landmark", "5,5:6,6", "--landmark", "none"],
         "bare": [],
@@ -329,10 +328,3 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng, refuse
     told = refused(*chain, *options)
     assert "landmarks of one morph given: expected those of 2 morphs" in told
     assert not (tmp_path / "x.gif").exists()
-
-
-def test_reading_needs_pairs():
-    assert read_landmarks("1,2:3,4; 5,6:7,8") == (((1, 2), (3, 4)), ((5, 6), (7, 8)))
-    for text in ("", "1,2", "1,2:3", "1,2:3,4:5,6", "x,2:3,4"):
-        with pytest.raises(ValueError, match="^" + text):
-            read_landmarks(text)

@@ -139,14 +139,6 @@ def test_opaque_images_beside_clear_ones(device):
 
 
 class TestWeights:
-    def test_four_images_stand_in_the_corners(self):
-        layout = grid_layout(4, (3, 5))
-        assert layout.size == (5, 3)
-        corners = {tuple(each): w.tolist() for each, w in zip(*layout[1::-1], strict=True)}
-        for place, number in {(0, 0): 0, (4, 0): 1, (0, 2): 2, (4, 2): 3}.items():
-            assert corners[place] == np.eye(4)[number].tolist()
-        assert corners[2, 1] == [0.25] * 4
-
     def test_three_images_make_a_triangle(self):
         layout = grid_layout(3, 4)
         assert len(layout.weights) == 10

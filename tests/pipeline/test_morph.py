@@ -114,15 +114,6 @@ def test_variants_agree_with_the_reference(device, rng, case):
         assert np.abs(frame - exact)[covered].max() <= 2 / 255
 
 
-def test_numpy_and_devices_agree(device, rng):
-    images = _small(rng, (12, 10)), _small(rng, (8, 16))
-    ours = morph(*images, n_frames=3, backend=device)
-    theirs = morph(*images, n_frames=3, backend="numpy")
-    assert ours.potentials.n_iter == theirs.potentials.n_iter
-    for a, b in zip(ours.frames, theirs.frames, strict=True):
-        assert np.abs(a - b).max() < 1e-3
-
-
 def test_result(device, rng):
     images = _small(rng, (10, 12)), _small(rng, (20, 8))
     result = morph(*images, n_frames=6, backend=device)

@@ -66,16 +66,6 @@ def test_against_the_plain_iteration(any_backend, rng, reach):
     assert got.column_mass == pytest.approx(want.column_mass, rel=1e-3)
 
 
-@pytest.mark.parametrize("reach", [(None, 0.3), (0.3, None)], ids=str)
-def test_a_balanced_side_keeps_its_mass(any_backend, rng, reach):
-    (a, x), (b, y) = clouds(rng)
-    got = sinkhorn((a, x), (b, y), 0.2, reach, 1e-5, backend=any_backend)
-    kept, marginal = (a, got.row_mass) if reach[0] is None else (b, got.column_mass)
-    assert np.allclose(marginal, kept, rtol=1e-4)
-    assert got.transported_mass == pytest.approx(kept.sum(), rel=1e-4)
-    assert got.rho == tuple(np.inf if value is None else value**2 for value in reach)
-
-
 def test_two_names_of_a_strength(rng):
     pair = clouds(rng)
     named = sinkhorn(*pair, 0.2, 0.5, backend="numpy")
@@ -227,37 +217,6 @@ def test_points_as_far_apart_as_the_device_allows(wide_device, rng, reach, layou
         sinkhorn(*pair, 0.9, reach, 0.1, backend=wide_device)
     enough = float(re.search(r"at least ([\d.e+-]+)", str(told.value))[1])
     assert np.isfinite(sinkhorn(*pair, enough, reach, 0.1, backend=wide_device).gap)
-
-
-@pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
-@pytest.mark.parametrize("reach", REACHES, ids=str)
-def test_the_gap_bounds_the_distance_to_the_optimum(any_backend, rng, reach):
-    """With a balanced side, too, where the value of a plan that misses its masses is below it."""
-    pair = clouds(rng, balanced=reach is None)
-    best = sinkhorn(*pair, 0.1, reach, 1e-11, 5000, "numpy")
-    for max_iter in (1, 2, 4, 8, 30):
-        got = sinkhorn(*pair, 0.1, reach, 1e-6, max_iter, any_backend)
-        assert best.dual <= got.primal < np.inf
-        assert got.dual <= best.primal
-        assert got.gap == got.primal - got.dual
-    assert got.gap < 0.02 * best.dual
-
-
-@pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
-@pytest.mark.parametrize("dimension", range(1, 12))
-def test_bounds_include_the_rounding_of_the_device(device, rng, dimension):
-    """Without it a dual value is above the optimum in half of all problems."""
-    for blur, reach in ((0.03, 0.3), (0.2, 0.3), (1.0, 2.0), (0.2, (0.5, 2.0))):
-        n, m = rng.integers(1, 80, 2)
-        pair = clouds(rng, n + 1, m + 1, dimension)
-        best = sinkhorn(*pair, blur, reach, 1e-10, 5000, "numpy")
-        assert best.gap <= 1e-10 * abs(best.primal) + 1e-13  # far below a device's rounding
-        got = sinkhorn(*pair, blur, reach, 1e-6, 5000, device)
-        assert max(got.dual, best.dual) <= min(got.primal, best.primal)
-        exact = certificate(
-            *clmorph.measures.points.as_pair(*pair), got.f, got.g, regularization(blur, reach)
-        )
-        assert got.gap <= exact.gap + 2e-6 * got.primal
 
 
 @pytest.mark.parametrize("mass", [1e-20, 1e15, 1e29])

@@ -115,12 +115,6 @@ def test_the_same_seed_draws_the_same(device, pair):
     assert not np.array_equal(one.indices, other.indices)
 
 
-def test_many_draws_are_the_plan(backend, pair):
-    source, target, potentials, dense = pair
-    plan = sample_plan(source, target, potentials, 2000, backend=backend)
-    assert np.abs(plan.to_scipy().toarray() - dense).sum() < 0.02 * dense.sum()
-
-
 def test_barycentric(backend, pair):
     source, target, potentials, dense = pair
     got = barycentric_plan(source, target, potentials, backend=backend)
