@@ -12,7 +12,6 @@ from clmorph import InputError
 from clmorph.analysis.metrics import ghost
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.frames.canvas import Canvas, canvas_at
-from clmorph.frames.fields import affine
 from clmorph.frames.pictures import stage_of
 from clmorph.frames.switching import switched, switching_times, turns
 
@@ -132,19 +131,7 @@ def test_layers_are_those_of_layers_alone(pair):
         _ = other.layers
 
 
-@pytest.mark.parametrize("name", ["carried", "shapes"])
-def test_names_of_earlier_versions(name):
-    with pytest.warns(clmorph.OptionWarning, match="detail='layers' now"):
-        options = clmorph.MorphOptions(detail=name)
-    assert options.detail == "layers"
-
-
 class TestFields:
-    def test_affine_maps_places(self):
-        here, there = Canvas((5, 9), (8.0, 8.0)), Canvas((10, 18), (17.0, 16.0))
-        found = affine(here, there).places(here.shape)
-        np.testing.assert_allclose(np.moveaxis(found, -1, 0), there.places(here.positions()))
-
     def test_a_stage_covers_both_pictures(self):
         canvases = [canvas_at(t, (10, 40), (40, 10)) for t in (0.0, 1.0)]
         stage = stage_of(canvases)
@@ -180,26 +167,6 @@ class TestTurns:
         assert np.all(np.diff(seen, axis=0) >= 0)
         # Most places show one picture alone.
         assert all(np.mean((w > 0.02) & (w < 0.98)) < 0.3 for w in seen)
-
-    def test_the_order_of_thin_lines_does_not_follow_their_edges(self):
-        """A region that ended at the edge of a line would cut off its side."""
-        stage = Canvas((96, 96), (95.0, 95.0))
-        halves = [np.ones((96, 96, 3)) for _ in range(2)]
-        for across, down in ((20, 60), (50, 30), (70, 80)):
-            halves[0][across : across + 3] = 0
-            halves[1][:, down : down + 3] = 0
-        times = [
-            switching_times(
-                halves,
-                np.array([1.0, 0, 0]),
-                stage,
-                NumPyOperations(),
-                thin=thin * np.ones((96, 96)),
-            )
-            for thin in (0, 1)
-        ]
-        steepest = [np.abs(np.diff(each, axis=0)).max() for each in times]
-        assert steepest[1] < 0.5 * steepest[0]
 
 
 def test_figures_keep_their_colors_beyond_the_ground(device):

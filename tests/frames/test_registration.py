@@ -55,7 +55,7 @@ class TestFlow:
 @pytest.mark.parametrize(
     "kind",
     [
-        "photograph", "star", "glass", "soft",
+        "photograph", "star", "glass", "soft", "small",
         *(pytest.param(f"clear {it}", marks=pytest.mark.full) for it in ("star", "bars")),
         pytest.param("drawing", marks=pytest.mark.full),
     ],
@@ -69,6 +69,7 @@ def test_a_picture_becomes_itself(each_device, kind):
         "star": lambda: logo("star", 64),
         "clear star": lambda: logo("star", 64, ground=None),
         "clear bars": lambda: logo("bars", 64, ground=None),
+        "small": lambda: disc((32, 32), 8.0, ground=1.0),
         "glass": lambda: logo("disc", 64, ground=None) * (1, 1, 1, 0.5),
         "soft": lambda: (
             disc((32, 32)) * (1, 1, 1, 0)

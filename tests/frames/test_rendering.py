@@ -4,9 +4,9 @@ from itertools import pairwise
 import numpy as np
 import plain
 import pytest
+from clouds import smooth
 from drawn_pictures import logo
 from plain import lift, morph
-from scipy.ndimage import gaussian_filter
 
 import clmorph
 from clmorph import InputError
@@ -132,10 +132,7 @@ def test_no_pixel_depends_on_pairs_that_were_dropped(device, monkeypatch, splatt
     # Whether moments pay depends on the number of particles and on the device. Their error, within
     # `KERNEL_ERROR` of the peak, is some percent of what fills a pixel at five kernel widths.
     monkeypatch.setattr(device.splatting, "method", "gather")
-    images = []
-    for seed in (0, 1):
-        image = gaussian_filter(np.random.default_rng(seed).random((24, 24, 3)), (3, 3, 0))
-        images.append((image - image.min()) / np.ptp(image))
+    images = [smooth(np.random.default_rng(seed), (24, 24)) for seed in (0, 1)]
     source, target = (lift(image, 2.0) for image in images)
     potentials = plain.sinkhorn(source, target, 0.02, 0.15, 1e-4, backend=device)
     kept, whole = (

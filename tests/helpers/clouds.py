@@ -1,7 +1,8 @@
-"""Random and degenerate clouds."""
+"""Random and degenerate clouds, and pictures."""
 
 import numpy as np
 import pyopencl as cl
+from scipy.ndimage import gaussian_filter
 
 
 def _cloud(rng, n, scale=(1, 1, 2, 2, 2), weights=None):
@@ -95,6 +96,12 @@ def drawings(side):
     one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
     two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
     return one, two
+
+
+def smooth(rng, shape, width=3):
+    """A random smooth picture, from 0 to 1."""
+    found = gaussian_filter(rng.random((*shape, 3)), (width, width, 0))
+    return (found - found.min()) / np.ptp(found)
 
 
 def column_masks(operations, near):

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import plain
 import pytest
+from clouds import smooth
 from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter
 
@@ -16,14 +17,6 @@ from clmorph.cli.main import main
 from clmorph.measures.landmarks import HEIGHT, bump_radius, guided
 from clmorph.measures.measure import check_measure
 from clmorph.output.provenance import read_parameters
-
-
-def smooth(rng, height, width):
-    """Return a smooth random picture, whose colors pull mass elsewhere than landmarks do."""
-    found = np.stack(
-        [gaussian_filter(rng.random((height, width)), 3, mode="reflect") for _ in range(3)], -1
-    )
-    return (found - found.min()) / np.ptp(found)
 
 
 def many(rng, n, count, farthest):
@@ -60,7 +53,7 @@ def misses(morph, landmarks):
 @pytest.mark.parametrize("reach", [None, 0.3])
 def test_landmarks_go_to_their_partners(device, rng, reach):
     """Within a pixel with the bumps; without landmarks they miss by several."""
-    a, b = smooth(rng, 24, 24), smooth(rng, 24, 24)
+    a, b = smooth(rng, (24, 24)), smooth(rng, (24, 24))
     landmarks = [((7, 8), (10, 10)), ((16, 9), (17, 12)), ((12, 17), (11, 15))]
     options = {"n_frames": 2, "blur": 0.05, "reach": reach, "color_weight": 0.5, "tol": 1e-2}
     guide = plain.morph(a, b, landmarks=landmarks, backend=device, **options)
@@ -77,7 +70,7 @@ def test_landmarks_that_share_coordinates(rng):
     n = 36
     landmarks = many(rng, n, 24, 2.0)
     morph = plain.morph(
-        smooth(rng, n, n), smooth(rng, n, n), n_frames=2, landmarks=landmarks, blur=0.02,
+        smooth(rng, (n, n)), smooth(rng, (n, n)), n_frames=2, landmarks=landmarks, blur=0.02,
         color_weight=0.5, tol=1e-2, barycentric=True, backend="numpy",
     )  # fmt: skip
     assert morph.source.points.shape[1] == morph.target.points.shape[1] == 11
@@ -209,7 +202,7 @@ def test_distant_landmarks_share_a_coordinate():
 
 def test_landmarks_are_in_pixels_of_the_given_pictures(device, rng):
     """Also if the pictures are reduced, or their shapes differ."""
-    a, b = smooth(rng, 32, 40), smooth(rng, 48, 32)
+    a, b = smooth(rng, (32, 40)), smooth(rng, (48, 32))
     landmarks = [((12, 10), (10, 20)), ((28, 20), (20, 30))]
     options = {"blur": 0.05, "color_weight": 0.5, "n_frames": 2, "backend": device, "tol": 1e-2}
     morph = plain.morph(a, b, landmarks=landmarks, **options)

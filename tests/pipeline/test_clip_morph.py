@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clouds import smooth
 from programs import COMMAND, program
 
 import clmorph
@@ -22,12 +23,7 @@ RATE = 20
 
 def texture(seed, shape=(48, 90)):
     """A smooth colored pattern, larger than the frames that are cut of it."""
-    from scipy.ndimage import gaussian_filter
-
-    noise = np.random.default_rng(seed).random((*shape, 3))
-    found = gaussian_filter(noise, (4, 4, 0), mode="wrap")
-    low, high = found.min(), found.max()
-    return np.round(255 * (found - low) / (high - low)).astype(np.uint8)
+    return np.round(255 * smooth(np.random.default_rng(seed), shape, 4)).astype(np.uint8)
 
 
 def moving(seed, count, step=1, side=48):

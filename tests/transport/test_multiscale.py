@@ -70,22 +70,6 @@ def tried(monkeypatch):
 # --- clusters ------------------------------------------------------------------------------
 
 
-def test_clusters_are_small_and_keep_mass_and_its_center(rng):
-    points, weights = rng.normal(size=(3000, 5)), rng.random(3000)
-    clusters = make_clusters(WeightedPoints(points, weights), 0.7)
-    coarse = clusters.measure
-    assert len(coarse) == clusters.labels.max() + 1 < 3000
-    assert coarse.mass == pytest.approx(weights.sum(), rel=1e-12)
-    assert np.allclose(coarse.weights @ coarse.points, weights @ points, atol=1e-9)
-    for cluster in range(0, len(coarse), 50):
-        own = points[clusters.labels == cluster]
-        assert np.all(np.ptp(own, axis=0) <= 0.7)
-        assert np.all(np.abs(own - coarse.points[cluster]) <= 0.7)
-    values = rng.random(3000)
-    sums = np.bincount(clusters.labels, weights * values)
-    assert np.allclose(clusters.restrict(values, weights), sums / coarse.weights)
-
-
 def test_clusters_without_mass_and_with_offsets():
     points = np.array([[0.1], [0.2], [5.0], [5.05], [9.0]])
     weights = np.array([1.0, 3.0, 0.0, 0.0, 0.0])
