@@ -110,18 +110,6 @@ def test_strips_are_a_whole(monkeypatch, rng):
     np.testing.assert_array_equal(cells.frame(0.4, canvas), whole)
 
 
-def test_nothing_is_blended_in_space(rng):
-    """Each pixel shows one of the pictures, but while its cell changes."""
-    first, second = np.zeros((16, 16, 3)), np.ones((16, 16, 3))
-    canvas = canvas_at(0.0, (16, 16), (16, 16))
-    paths, _ = _shuffled(rng, (16, 16), (4, 4))
-    paths = paths._replace(switching=np.linspace(0.0, 1.0, 16))
-    cells = Cells(paths, (first, second), (canvas, canvas), EXACT)
-    for t in (0.2, 0.5, 0.77):
-        mixed = np.mean((cells.frame(t, canvas) % 1.0) > 0)
-        assert mixed <= 0.3
-
-
 def test_transparent_colors_are_not_seen(rng):
     first, second = rng.random((2, 6, 6, 4))
     first[..., :3], second[..., :3] = 0.25, 0.25

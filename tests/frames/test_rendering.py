@@ -75,13 +75,14 @@ def test_a_constant_image_stays_constant(device, shape):
     measure = lift(np.full((*shape, 3), 0.25))
     moving = _upload(device, measure.positions, measure.colors)
     canvas = canvas_at(0.0, shape, shape)
-    for sigma in (0.3, 1.0, 5.0):
+    for sigma in (0.3, 1.0, 3.0, 12.0):
         frame, coverage, _ = render(device, moving, 1.0, 0.0, canvas, Widths(sigma))
         assert frame.shape == (*shape, 3)
         assert np.abs(frame - 0.25).max() < 1e-5
-        # Narrow kernels gather more on the pixels than an even spread, wide ones lose
-        # some over the edges.
-        assert 0.2 < coverage.min() <= coverage.max() < 2
+        # Narrow kernels gather more on the pixels than an even spread. At a border, where a wide
+        # one is cut steeply, the sum over pixels is up to 1.2 % off its integral (Euler-Maclaurin:
+        # slope / 24), and in a corner twice that.
+        assert np.abs(coverage - 1).max() < (0.03 if sigma >= 1 else 1)
 
 
 def test_holes_are_filled(device):
@@ -177,17 +178,6 @@ def test_thin_canvases_have_no_black_gaps(device, splatting):
         endpoints="paper", size=None, backend=device,
     )  # fmt: skip
     assert np.abs(result.frame(0.5) - 0.8).max() < 1e-3
-
-
-def test_an_even_spread_covers_evenly_up_to_the_border(device):
-    measure = lift(np.zeros((30, 20, 3)))
-    moving = _upload(device, measure.positions, measure.colors)
-    canvas = canvas_at(0.0, (30, 20), (30, 20))
-    # At a border, where a kernel is cut steeply, the sum over pixels is up to 1.2 % off its
-    # integral (Euler-Maclaurin: slope / 24), and in a corner twice that.
-    for sigma in (1.0, 3.0, 12.0):
-        coverage = render(device, moving, 1.0, 0.0, canvas, Widths(sigma)).coverage
-        assert np.abs(coverage - 1).max() < 0.03
 
 
 def test_denominators_that_a_device_has_rounded_to_nothing_give_no_color():

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clouds import smooth
+from PIL import Image
 from programs import COMMAND, program
 
 import clmorph
@@ -122,8 +123,6 @@ def test_frames_are_read_as_they_are_asked_for(device):
 def recorded(tmp_path_factory):
     """A folder with two films with a tone each, a silent one, and a picture."""
     pytest.importorskip("av")
-    from PIL import Image
-
     ffmpeg, folder = program("ffmpeg"), tmp_path_factory.mktemp("films")
     for name, seed, tone, how in (
         ("one.mp4", 1, 440, ["-c:v", "libx264", "-c:a", "aac"]),
@@ -300,8 +299,6 @@ def test_mistakes_in_python():
 
 
 def test_pictures_are_no_clips(films):
-    from PIL import Image
-
     picture = Image.open("still.png")
     for ending in ("gif", "webp", "avif", "jpg", "bmp", "tif", "jp2"):
         picture.convert("RGB").save(f"p.{ending}")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import TESTED
+from PIL import Image
 from programs import COMMAND
 from several import KINDS, pictures
 
@@ -191,8 +192,6 @@ def test_devices_of_two_platforms(rng):
 
 @pytest.mark.full
 def test_the_command_line_takes_several_devices(device, tmp_path, monkeypatch):
-    from PIL import Image
-
     monkeypatch.chdir(tmp_path)
     for name, picture in zip(("a.png", "b.png"), pictures(), strict=True):
         Image.fromarray((255 * picture).astype(np.uint8)).save(name)

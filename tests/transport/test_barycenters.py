@@ -1,6 +1,7 @@
 """Barycenters, against closed forms and other libraries."""
 
 import numpy as np
+import ot
 import pytest
 from scipy.optimize import brentq
 from scipy.special import ndtri
@@ -265,7 +266,6 @@ def test_same_seed_same_points():
 
 class TestPeers:
     def test_debiased_barycenter_on_a_grid(self, device):
-        ot = pytest.importorskip("ot")
         y, x = np.mgrid[0:16, 0:16] / 15
         spots = (0.3, 0.4, 0.01), (0.7, 0.5, 0.03)
         grids = np.array([np.exp(-((x - a) ** 2 + (y - b) ** 2) / c) for a, b, c in spots])
@@ -292,7 +292,6 @@ class TestPeers:
 
     def test_fixed_support_without_debiasing(self):
         """POT's default method begins wrongly if shares are unequal (its pull request 870)."""
-        ot = pytest.importorskip("ot")
         x, shares = np.linspace(0, 1, 15)[:, None], np.array([0.5, 0.3, 0.2])
         histograms = np.random.default_rng(0).random((15, 3)) + 0.05
         histograms /= histograms.sum(axis=0)
@@ -308,7 +307,6 @@ class TestPeers:
 
     def test_free_support_of_exact_transport(self, device):
         """With a small blur points are where exact transport puts them."""
-        ot = pytest.importorskip("ot")
         rng = np.random.default_rng(3)
         clouds = [rng.random((8, 2)), rng.random((8, 2)) + np.array([1.0, 0.0])]
         even = np.full(8, 1 / 8)

@@ -76,22 +76,18 @@ def test_masses_after_half_steps_have_closed_forms(rng, rho, corrected):
     g = 0.1 * rng.random(25)
     softmin = problem.softmin(0, g, epsilon, True)
     rows = problem.half_step(0, g, softmin, epsilon)
-    general = problem.marginal(0, rows.new, rows.softmin, epsilon).sum()
-    assert rows.mass == pytest.approx(general, rel=1e-12)
-    summed, closed = (
-        problem.dual(rows.new, rows.old, rows.mass, epsilon, enough) for enough in (0.0, 1e-6)
-    )
-    assert closed == pytest.approx(summed, abs=1e-11 * epsilon * general)
     softmin = problem.softmin(1, rows.new, epsilon, True)
     own, after = (
         problem.half_step(1, rows.new, softmin, epsilon, before) for before in (None, rows.log_mass)
     )
-    general = problem.marginal(1, own.new, own.softmin, epsilon).sum()
-    assert after.mass == pytest.approx(general, rel=1e-12)
-    summed, closed = (
-        problem.dual(after.old, after.new, after.mass, epsilon, enough) for enough in (0.0, 1e-6)
-    )
-    assert closed == pytest.approx(summed, abs=1e-11 * epsilon * general)
+    for side, found, exact in ((0, rows, rows), (1, after, own)):
+        general = problem.marginal(side, exact.new, exact.softmin, epsilon).sum()
+        assert found.mass == pytest.approx(general, rel=1e-12)
+        pair = (found.old, found.new) if side else (found.new, found.old)
+        summed, closed = (
+            problem.dual(*pair, found.mass, epsilon, enough) for enough in (0.0, 1e-6)
+        )
+        assert closed == pytest.approx(summed, abs=1e-11 * epsilon * general)
     assert np.allclose(after.new, own.new, rtol=0, atol=1e-13)
     assert np.allclose(after.old, own.old, rtol=0, atol=1e-13)
 
