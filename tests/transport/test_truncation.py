@@ -144,32 +144,30 @@ def test_settled_potentials_have_fewer_near_pairs(rng):
     assert softmin.near.n_pairs == counts[3]  # not again
 
 
-def test_plans_of_truncated_potentials(device, monkeypatch, rng):
+def plans(pair, potentials, backend):
+    """The plan, draws from it and its means."""
+    return (
+        clmorph.transport_plan(*pair, potentials, backend=backend),
+        clmorph.sample_plan(*pair, potentials, 4, backend=backend),
+        clmorph.barycentric_plan(*pair, potentials, backend=backend),
+    )
+
+
+def test_plans_of_truncated_potentials(device, monkeypatch):
     """The same pairs as without, up to those at the threshold; draws and means alike."""
     monkeypatch.setattr("clmorph.backends.opencl.kernels.plan_rows.LISTED_FROM", 0)
-    source, target = map(plain.lift, drawings(40))
-    potentials = sinkhorn(source, target, 0.05, 0.3, backend=device, truncation=1e-6)
-    whole = clmorph.transport.potentials.replace(potentials, truncation=None)
-    plans = [
-        clmorph.transport_plan(source, target, each, backend=device).to_scipy()
-        for each in (potentials, whole)
-    ]
-    difference = abs(plans[0] - plans[1])
-    assert difference.max() <= 2e-4 * plans[1].max()
-    assert difference.sum() <= 1e-4 * plans[1].sum()
-    means = [
-        clmorph.barycentric_plan(source, target, each, backend=device)
-        for each in (potentials, whole)
-    ]
-    assert np.abs(means[0].positions - means[1].positions).max() <= 1e-4
-    assert np.allclose(means[0].column_mass, means[1].column_mass, rtol=1e-4)
-    draws = [
-        clmorph.sample_plan(source, target, each, 2, backend=device).mean_destinations(
-            source.positions, target.positions
-        )[0]
-        for each in (potentials, whole)
-    ]
-    assert np.mean(np.abs(draws[0] - draws[1])) <= 0.01
+    pair = [plain.lift(each) for each in drawings(40)]
+    potentials = sinkhorn(*pair, 0.05, 0.3, backend=device, truncation=1e-6)
+    plan, draws, means = plans(pair, potentials, device)
+    whole, other_draws, other_means = plans(pair, replace(potentials, truncation=None), device)
+    difference = np.abs(plan.toarray() - whole.toarray())
+    assert difference.max() <= 2e-4 * whole.mass.max()
+    assert difference.sum() <= 1e-4 * whole.mass.sum()
+    assert np.abs(means.positions - other_means.positions).max() <= 1e-4
+    assert np.allclose(means.column_mass, other_means.column_mass, rtol=1e-4)
+    places = [measure.positions for measure in pair]
+    ends = [each.mean_destinations(*places)[0] for each in (draws, other_draws)]
+    assert np.mean(np.abs(ends[0] - ends[1])) <= 0.01
 
 
 def test_divergences_of_many_points_are_truncated_and_stay_bounded(device, monkeypatch, rng):
@@ -215,23 +213,17 @@ def test_a_plan_takes_over_the_pairs_of_the_solve(device, monkeypatch, rng):
     fresh = pickle.loads(pickle.dumps(kept))
     assert kept.passes is not None
     assert fresh.passes is None
-
-    def results(potentials):
-        plan = clmorph.transport_plan(*pair, potentials, backend=device)
-        draws = clmorph.sample_plan(*pair, potentials, 4, backend=device)
-        means = clmorph.barycentric_plan(*pair, potentials, backend=device)
-        return plan.to_scipy().toarray(), draws.to_scipy().toarray(), means.positions
-
-    want = results(fresh)
+    want = plans(pair, fresh, device)
     chosen, near_pairs = [], device.near_pairs
     monkeypatch.setattr(device, "near_pairs", lambda *a: chosen.append(1) or near_pairs(*a))
-    got = results(kept)
+    got = plans(pair, kept, device)
     assert not chosen
     for one, other in zip(got, want, strict=True):
-        np.testing.assert_allclose(one.sum(axis=0), other.sum(axis=0), rtol=1e-3, atol=1e-5)
-    np.testing.assert_allclose(got[0], want[0], rtol=1e-3, atol=1e-9)
-    results(fresh)
-    results(replace(kept, g=kept.g.copy()))  # other potentials than those of the solve
+        np.testing.assert_allclose(one.column_mass, other.column_mass, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(got[0].toarray(), want[0].toarray(), rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(got[2].positions, want[2].positions, rtol=1e-3, atol=1e-3)
+    plans(pair, fresh, device)
+    plans(pair, replace(kept, g=kept.g.copy()), device)  # other potentials than of the solve
     assert len(chosen) == 12
     with pytest.raises(clmorph.InputError, match="other measures"):
         clmorph.sample_plan(pair[0], (pair[1][0], pair[1][1] + 0.1), kept, 4, backend=device)
