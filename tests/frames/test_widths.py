@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 import skimage.data
-from benching import photographs
 from plain import morph
-from skimage.transform import resize
 
 from clmorph import InputError, fit
 from clmorph.analysis.metrics import hole_fraction, path_divergence
@@ -28,6 +26,8 @@ def test_a_sprites_width_is_half_its_block(rng):
 def test_a_photographs_width_follows_its_resolution():
     photo = as_rgb(skimage.data.astronaut())[:256, 128:384]
     assert 1 <= intrinsic_spacing(photo) < 2
+    from skimage.transform import resize
+
     for zoom in (2, 4):
         enlarged = np.clip(resize(photo, (256 * zoom, 256 * zoom, 3), order=3), 0, 1)
         assert intrinsic_spacing(enlarged) == pytest.approx(
@@ -47,7 +47,10 @@ def test_images_without_detail():
 
 @pytest.fixture(scope="module")
 def pair():
-    return photographs((24, 24))
+    return [
+        fit(as_rgb(picture), 24)
+        for picture in (skimage.data.coffee()[:, 100:500], skimage.data.chelsea()[:, 75:375])
+    ]
 
 
 @pytest.mark.full
