@@ -112,14 +112,11 @@ def test_what_is_no_path_is_refused(target):
 def test_places_that_cannot_be_are_refused_before_any_work(folder):
     with pytest.raises(OutputError, match=r"there is no folder .*missing; make it first"):
         check_place(folder / "missing" / "a.png")
-    with pytest.raises(OutputError):
-        check_place(folder / ("n" * 5000))
-    with pytest.raises(OutputError):
-        check_place("null\0byte")
     loop = folder / "loop"
     loop.symlink_to(loop)
-    with pytest.raises(OutputError):
-        check_place(loop)
+    for place in (folder / ("n" * 5000), "null\0byte", loop):
+        with pytest.raises(OutputError):
+            check_place(place)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
