@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from clouds import PAIRS
+from count_transfers import TransferCount
 
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.variants import Variant
-from clmorph.backends.opencl.kernels.clouds import tile_order
-from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
+from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.verification.bench import log_sum_exp_tolerance
 from clmorph.backends.opencl.verification.table import first_failure
 
@@ -109,23 +109,17 @@ def _large(rng, operations):
     return batches, 0.1 * rng.random(4000)
 
 
-def test_one_launch_for_all_problems(device, rng, monkeypatch):
+def test_one_launch_for_all_problems(device, rng):
     (rows, columns), g = _large(rng, device)
     device.softmin(rows, columns, g, 0.01)
-    launches, launch = [], Workspace.launch
-    monkeypatch.setattr(
-        Workspace,
-        "launch",
-        lambda self, *given, **read: (launches.append(1), launch(self, *given, **read)),
-    )
     for call in (
         lambda: device.softmin(rows, columns, g, 0.01),
         lambda: device.bounded_softmin(rows, columns, g, 0.01),
         lambda: device.take_batch(rows, np.array([1, 5])),
     ):
-        launches.clear()
-        call()
-        assert len(launches) <= 1
+        with TransferCount() as count:
+            call()
+        assert count.n_launches <= 1
 
 
 def test_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng):
@@ -149,17 +143,3 @@ def test_where_loops_end_early(device, rng):
     got = short.softmin(*_upload(short, pairs), g, 0.01)
     want = REFERENCE.softmin(*_upload(REFERENCE, pairs), g, 0.01)
     assert np.abs(got - want).max() / 0.01 < 1e-4
-
-
-def test_tiles_of_many_clouds_are_those_of_each(rng):
-    counts = np.array([1, 64, 200, 65, 7, 1000])
-    points = rng.random((counts.sum(), 4))
-    order = tile_order(points, 64, counts)
-    start = 0
-    for count in counts:
-        own = tile_order(points[start : start + count], 64)
-        # The order inside a tile may differ.
-        for first in range(0, count, 64):
-            tile = slice(first, min(first + 64, count))
-            assert set(order[start : start + count][tile]) == set(own[tile] + start)
-        start += count
