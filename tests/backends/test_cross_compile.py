@@ -71,38 +71,29 @@ VARIANTS = [
 ]
 
 
+def compiled(clang, target, *options):
+    """Let clang compile a file, or nothing, and return the process that has ended."""
+    command = [clang, "-x", "cl", "-target", target, *TARGETS[target], "-S", "-emit-llvm"]
+    command += ["-o", "-", *options]
+    return subprocess.run(command, input="", capture_output=True, text=True, check=False)
+
+
 @functools.cache
 def has_target(clang, target):
     """Return whether a compiler has a target, as Apple's has not; clang 19 must have all."""
-    command = [
-        clang,
-        "-x",
-        "cl",
-        "-target",
-        target,
-        *TARGETS[target],
-        "-S",
-        "-emit-llvm",
-        "-o",
-        "-",
-        "-",
-    ]
-    done = subprocess.run(command, input="", capture_output=True, text=True, check=False)
+    done = compiled(clang, target, "-")
     assert done.returncode == 0 or Path(clang).name != "clang-19", done.stderr
     return done.returncode == 0
 
 
-def complaints(clang, target, file, defines, *options):
+def complaints(clang, target, file, defines):
     """Return what clang says about a file."""
     given = [
         f"-D{name}={f'{value:.9g}f' if isinstance(value, float) else value}"
         for name, value in defines.items()
     ]
-    command = [
-        clang, "-x", "cl", "-cl-std=CL1.2", "-target", target, *TARGETS[target], *HEADER,
-        *WARNINGS, *given, *options, "-S", "-emit-llvm", "-O0", "-o", "-", str(file),
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    options = *HEADER, *WARNINGS, *given
+    done = compiled(clang, target, "-cl-std=CL1.2", *options, "-O0", str(file))
     if done.returncode == 0:
         assert "define" in done.stdout
     return done.stderr
