@@ -105,9 +105,12 @@ BUILDS = {
 }
 
 
+def uploaded(operations, *clouds):
+    return [operations.upload(cloud, np.full(len(cloud), 1 / len(cloud))) for cloud in clouds]
+
+
 def clouds(operations, rng, n, m):
-    points = rng.random((n, 3)), rng.random((m, 3))
-    return [operations.upload(cloud, np.full(len(cloud), 1 / len(cloud))) for cloud in points]
+    return uploaded(operations, rng.random((n, 3)), rng.random((m, 3)))
 
 
 def every_row_reduction(operations):
@@ -186,12 +189,9 @@ def test_draws_from_very_many_columns(each_device, rng):
     m, epsilon = 1 << 17, 1.0
     points = rng.random((3, 2)), rng.random((m, 2))
     thresholds = np.tile((np.arange(50) + 0.5) / 50, (3, 1))
-    found = []
+    found, g = [], np.zeros(m)
     for operations in (each_device, REFERENCE):
-        rows, columns = (
-            operations.upload(cloud, np.full(len(cloud), 1 / len(cloud))) for cloud in points
-        )
-        g = np.zeros(m)
+        rows, columns = uploaded(operations, *points)
         softmin = operations.softmin(rows, columns, g, epsilon)
         draws = operations.sample_plan_rows(rows, columns, g, softmin, epsilon, thresholds)
         found.append((softmin, points[1][draws].mean(axis=1)))
