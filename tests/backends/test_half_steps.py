@@ -4,7 +4,7 @@ The table of checks compares them with their definitions.
 """
 
 import functools
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -27,6 +27,7 @@ from clmorph.transport._solver.steps import DeviceSteps, HostSteps, new_steps
 RHO = [(0.3, 0.5), (np.inf, 0.5), (0.3, np.inf), (np.inf, np.inf)]
 
 
+@pytest.fixture(autouse=True)
 def resident(device):
     """Skip where the host does the arithmetic: with limited loops."""
     if device.constants.longest_loop:
@@ -36,7 +37,6 @@ def resident(device):
 @pytest.mark.parametrize("rho", RHO, ids=str)
 def test_solves_agree_with_numpy(device, rng, rho):
     """With more iterates than are stored, masses of 0, offsets, and an unequal number of points."""
-    resident(device)
     found = []
     points = [rng.random((n, 3)) for n in (150, 70)]
     masses = [rng.random(n) for n in (150, 70)]
@@ -64,17 +64,17 @@ def steps_of(device, rng, sizes=(40, 30)):
     return new_steps(Problem.between(device, *measures, (0.3, 0.5)))
 
 
-def test_one_iteration_of_two_at_a_time(device, rng):
+def test_one_iteration_of_two_at_a_time(device):
     """Two iterations on a device, one step each in turn, are as each alone."""
-    resident(device)
-    alone, both = [], []
-    for sizes in ((40, 30), (130, 64)):
-        own = steps_of(device, np.random.default_rng(sizes), sizes)
-        own.begin(np.zeros(sizes[1]), 0.01, False)
-        both.append(own)
-        other = steps_of(device, np.random.default_rng(sizes), sizes)
-        other.begin(np.zeros(sizes[1]), 0.01, False)
-        alone.append([advance(other) for _ in range(5)])
+
+    def begun(sizes):
+        steps = steps_of(device, np.random.default_rng(sizes), sizes)
+        steps.begin(np.zeros(sizes[1]), 0.01, False)
+        return steps
+
+    sizes = (40, 30), (130, 64)
+    alone = [[advance(steps) for _ in range(5)] for steps in map(begun, sizes)]
+    both = list(map(begun, sizes))
     for number in range(5):
         assert [advance(own) for own in both] == [values[number] for values in alone]
 
@@ -86,27 +86,16 @@ def advance(steps):
 
 
 def test_threads_iterate_in_turn(device, rng):
-    resident(device)
     measures = [clmorph.WeightedPoints(rng.random((n, 3)), np.full(n, 1 / n)) for n in (60, 50)]
     solve = functools.partial(clmorph.sinkhorn, *measures, blur=0.1, reach=0.5, backend=device)
-    wanted, wrong = solve(), []
-
-    def run():
-        for _ in range(5):
-            if not np.array_equal(solve().g, wanted.g):
-                wrong.append(1)
-
-    threads = [threading.Thread(target=run) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not wrong
+    wanted = solve()
+    with ThreadPoolExecutor(3) as threads:
+        found = list(threads.map(lambda _: solve().g, range(15)))
+    assert all(np.array_equal(each, wanted.g) for each in found)
 
 
 def test_where_the_device_does_not_iterate_the_host_does(device, rng, monkeypatch):
     """Many tiles, and softmins that could take too long for one launch."""
-    resident(device)
     assert isinstance(steps_of(device, rng), DeviceSteps)
     measures = [clmorph.WeightedPoints(rng.random((n, 3)), np.full(n, 1 / n)) for n in (60, 50)]
     solve = functools.partial(clmorph.sinkhorn, *measures, blur=0.1, reach=0.5, backend=device)
@@ -121,7 +110,6 @@ def test_where_the_device_does_not_iterate_the_host_does(device, rng, monkeypatc
 
 
 def test_a_fast_card_iterates_over_more_pairs(device, rng, monkeypatch):
-    resident(device)
     monkeypatch.setattr(half_steps, "MOST_PAIRS", 0)
     clouds = [device.upload(rng.random((70, 3)), np.full(70, 1 / 70)) for _ in range(2)]
     given = *clouds, (np.full(70, 1 / 70),) * 2, (0.0, 1.0)
@@ -134,7 +122,6 @@ def test_a_fast_card_iterates_over_more_pairs(device, rng, monkeypatch):
 
 def test_iterations_over_stored_pairs_leave_the_same_bytes(device):
     """Work-groups of a runtime that share local memory by mistake would not."""
-    resident(device)
     case = Bench(device).clouds(3, columns=5003)[1]
     found = []
     for _ in range(4):
@@ -162,7 +149,6 @@ def test_where_kernels_cannot_be_built_the_host_iterates(device, rng, monkeypatc
     def fresh():
         return OpenCLOperations(device.device, device.constants, verify=False)
 
-    resident(device)
     clouds = [clmorph.WeightedPoints(rng.random((n, 3)), np.full(n, 1 / n)) for n in (60, 50)]
 
     def solve(backend):
@@ -199,7 +185,6 @@ def test_where_kernels_cannot_be_built_the_host_iterates(device, rng, monkeypatc
 
 def test_the_probe_says_that_optional_kernels_cannot_be_built(device, monkeypatch):
     """And not that they compute wrongly."""
-    resident(device)
     operations = OpenCLOperations(device.device, device.constants, verify=False)
     monkeypatch.setattr(
         operations.programs, "kernels", lambda variant: (_ for _ in ()).throw(ValueError(REFUSED))
