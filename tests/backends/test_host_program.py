@@ -8,6 +8,7 @@ import sys
 import threading
 import weakref
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import host_program as example
@@ -185,16 +186,8 @@ def test_a_morph_keeps_its_operations(context):
 
 
 def test_threads_get_the_same_operations(queue):
-    found = []
-    threads = [
-        threading.Thread(target=lambda: found.append(clmorph.get_backend(queue))) for _ in range(8)
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(found) == 8
-    assert len(set(map(id, found))) == 1
+    with ThreadPoolExecutor(8) as threads:
+        assert len(set(map(id, threads.map(clmorph.get_backend, [queue] * 8)))) == 1
 
 
 def test_other_objects_of_pyopencl_are_no_backends(queue, context):
