@@ -2,8 +2,8 @@
 
 import functools
 import sys
-import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from unittest import mock
 
@@ -17,6 +17,25 @@ from clmorph import DeviceError
 from clmorph.backends.opencl.kernels import launches, particles
 from clmorph.backends.opencl.kernels.launches import LAUNCH_PARTICLES, TARGET_SECONDS, LaunchBudget
 from clmorph.transport._solver import steps
+
+
+@pytest.fixture
+def launched(device, monkeypatch):
+    """Names, sizes and groups of the launches of a test."""
+    found, launch = [], device.work.launch
+
+    def noted(kernel, size, group, *rest, **options):
+        found.append((kernel.function_name, size, group))
+        launch(kernel, size, group, *rest, **options)
+
+    monkeypatch.setattr(device.work, "launch", noted)
+    return found
+
+
+def ones_at(device, positions):
+    """Upload white particles of mass 1."""
+    n = len(positions)
+    return device.upload_splats(positions, np.ones((n, 3), np.float32), np.ones(n, np.float32))
 
 
 @pytest.mark.parametrize("rate", [1e5, 1e8, 1e12])
@@ -44,116 +63,77 @@ def test_one_slow_launch_is_survived(monkeypatch):
     assert budget.pairs() > 1e7
 
 
-def test_no_launch_looks_at_more_than_its_share(device, monkeypatch):
+def test_no_launch_looks_at_more_than_its_share(device, launched, monkeypatch):
     """A wide kernel over one crowded spot: cut over blocks and over particles."""
     monkeypatch.setattr("clmorph.backends.opencl.kernels.launches.LAUNCH_PARTICLES", 1000)
     splatting = device.splatting
     monkeypatch.setattr(splatting, "method", "gather")
     monkeypatch.setattr(splatting, "_budget", LaunchBudget(first=1))
     monkeypatch.setattr(splatting._budget, "pairs", lambda: 1)
-    sizes = []
-    launch = device.work.launch
-
-    def noted(kernel, size, *rest, **options):
-        sizes.append((kernel.function_name, size))
-        launch(kernel, size, *rest, **options)
-
-    monkeypatch.setattr(device.work, "launch", noted)
-    rng = np.random.default_rng(0)
     count = 3500
-    splats = device.upload_splats(
-        np.full((count, 2), 20.0, np.float32), rng.random((count, 3)).astype(np.float32),
-        np.ones(count, np.float32),
-    )  # fmt: skip
+    splats = ones_at(device, np.full((count, 2), 20.0, np.float32))
     _, cut = device.splat(splats, (40, 40), 30.0, 135.0)
     group = device.constants.tile_group
     blocks = (-(-40 // (device.constants.width * group))) ** 2
-    assert [size for name, size in sizes if name == "splat"] == [(group, group)] * (4 * blocks)
+    found = [size for name, size, _ in launched if name == "splat"]
+    assert found == [(group, group)] * (4 * blocks)
     monkeypatch.undo()
     assert count < LAUNCH_PARTICLES
     _, whole = device.splat(splats, (40, 40), 30.0, 135.0)
     assert np.allclose(cut, whole, rtol=1e-5)
 
 
-def test_prime_numbers_of_particles_leave_work_groups_whole(device, monkeypatch):
+def test_prime_numbers_of_particles_leave_work_groups_whole(device, launched):
     """Where a driver chooses work-groups, it makes them 1 for a prime number of work-items."""
-    launch, sizes = device.work.launch, []
-
-    def noted(kernel, size, group, *rest, **options):
-        if group is None:
-            sizes.append(*size)
-        launch(kernel, size, group, *rest, **options)
-
-    monkeypatch.setattr(device.work, "launch", noted)
     rng = np.random.default_rng(0)
     positions = rng.uniform(0, 40, (1009, 2)).astype(np.float32)
     distances = rng.uniform(0.5, 9, (40, 40))
 
     def levels_of(part):
-        splats = device.upload_splats(
-            positions[part], np.ones((len(positions[part]), 3), np.float32),
-            np.ones(len(positions[part]), np.float32),
-        )  # fmt: skip
-        return device.width_levels(device.adapt_widths(splats, distances, 1.0))
+        splats = device.adapt_widths(ones_at(device, positions[part]), distances, 1.0)
+        return device.width_levels(splats)
 
     levels = levels_of(slice(None))
-    assert sizes == [960, 49]
+    assert [size for _, size, group in launched if group is None] == [(960,), (49,)]
     assert len(set(levels)) > 3
     for part in (slice(0, 960), slice(960, None)):  # the last ones are at their places
         assert np.array_equal(levels_of(part), levels[part])
 
 
-def test_prime_numbers_of_slices_leave_work_groups_whole(device, monkeypatch, rng):
+def test_prime_numbers_of_slices_leave_work_groups_whole(device, launched, monkeypatch, rng):
     """Slices of the list that is sorted into bins; the order in a bin stays."""
-    units, splatting, sizes = device.device.max_compute_units, device.splatting, []
-    positions = rng.uniform(0, 40, (5000, 2)).astype(np.float32)
-    ones = np.ones(5000, np.float32)
-    splats = device.upload_splats(positions, np.ones((5000, 3), np.float32), ones)
+    units, splatting = device.device.max_compute_units, device.splatting
+    splats = ones_at(device, rng.uniform(0, 40, (5000, 2)).astype(np.float32))
     want = device.bin_splats(splats, (40, 40), 1)
-    run = device.work.launch
-
-    def noted(kernel, size, *rest, **options):
-        sizes.append((kernel.function_name, *size))
-        run(kernel, size, *rest, **options)
-
-    monkeypatch.setattr(device.work, "launch", noted)
+    launched.clear()
     prime = replace(device.constants, slices_per_unit=-(-509 // units))
     monkeypatch.setattr(splatting, "_constants", prime)
     monkeypatch.setattr(particles, "COUNT_ENTRIES", 509 * len(want.starts[1:]))
     monkeypatch.setattr(launches, "LAUNCH_PARTICLES", 3600)
     found = device.bin_splats(splats, (40, 40), 1)
+    sizes = [(name, *size) for name, size, _ in launched]
     assert sizes == [(name, size) for name in ("count_bins", "fill_bins") for size in (256, 192)]
     assert np.array_equal(found.order, want.order)
     assert np.array_equal(found.starts, want.starts)
 
 
-def test_no_launch_sums_more_than_its_share(device, monkeypatch):
+def test_no_launch_sums_more_than_its_share(device, launched, monkeypatch):
     """The same by moments: cut over bins, over particles, and over rows."""
     monkeypatch.setattr("clmorph.backends.opencl.kernels.launches.LAUNCH_PARTICLES", 1000)
-    splatting, sizes, launch = device.splatting, [], device.work.launch
+    splatting = device.splatting
     monkeypatch.setattr(splatting, "method", "moments")
     monkeypatch.setattr(splatting._moments, "_span", 1)  # as on cards, whose drivers choose groups
     for budget in splatting._moments._budgets.values():
         monkeypatch.setattr(budget, "pairs", lambda: 1)
-    monkeypatch.setattr(
-        device.work,
-        "launch",
-        lambda kernel, *rest: (
-            sizes.append((kernel.function_name, rest[0])),
-            launch(kernel, *rest),
-        ),
-    )
     count, shape = 3500, (40, 41)
-    positions = np.full((count, 2), 20.0, np.float32)
-    ones = np.ones(count, np.float32)
-    splats = device.upload_splats(positions, np.ones((count, 3), np.float32), ones)
+    splats = ones_at(device, np.full((count, 2), 20.0, np.float32))
     _, cut = device.splat(splats, shape, 1.4, 6.3)
     bins = (5 + 2) * (6 + 2)
     group = splatting._moments._group
-    assert [size for name, size in sizes if name == "sum_moments"] == [(group,)] * (4 * bins)
+    sizes = {name: [size for each, size, _ in launched if each == name] for name, *_ in launched}
+    assert sizes["sum_moments"] == [(group,)] * (4 * bins)
     for name in ("sum_rows", "sum_columns"):
-        found = [size for each, size in sizes if each == name]
-        assert set(found) == {(64, 1)}  # no prime number
+        assert set(sizes[name]) == {(64, 1)}  # no prime number
     monkeypatch.undo()
     monkeypatch.setattr(splatting, "method", "moments")
     _, whole = device.splat(splats, shape, 1.4, 6.3)
@@ -251,34 +231,6 @@ def test_an_extrapolation_that_is_taken_back_costs_one_softmin(device, rng, monk
     assert np.abs(found.g - wanted.g).max() <= 4e-5 * 0.1**2
 
 
-def test_kernels_never_use_scalars_of_another_call(device, rng):
-    """Kernels store scalars; two threads change them in turn, as do sizes and epsilons."""
-    measures = [(rng.random((n, 3)), np.full(n, 1 / n)) for n in (70, 150, 200)]
-
-    def cases_of(operations):
-        clouds = [operations.upload(*measure) for measure in measures]
-        return [
-            (clouds[i], clouds[j], np.zeros(len(measures[j][0])), epsilon)
-            for i, j, epsilon in ((0, 1, 0.01), (1, 0, 0.01), (0, 2, 0.02), (2, 2, 0.3))
-        ]
-
-    numpy = clmorph.get_backend("numpy")
-    wanted = [numpy.softmin(*case) for case in cases_of(numpy)]
-    cases, wrong = cases_of(device), []
-
-    def run(order):
-        for case in order * 3:
-            if not np.allclose(device.softmin(*cases[case]), wanted[case], rtol=0, atol=1e-5):
-                wrong.append(case)
-
-    threads = [threading.Thread(target=run, args=(order,)) for order in ([0, 1, 2, 3], [3, 1, 0])]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not wrong
-
-
 def test_ctrl_c_leaves_no_scalar_that_is_not_known(device, rng):
     """It comes right after a scalar was set; the next call has the scalars of the one before."""
     rows, columns = (device.upload(rng.random((n, 3)), np.full(n, 1 / n)) for n in (70, 150))
@@ -298,35 +250,25 @@ def test_ctrl_c_leaves_no_scalar_that_is_not_known(device, rng):
     assert np.array_equal(device.softmin(rows, columns, np.zeros(150), 0.01), wanted)
 
 
-def test_threads_take_turns(device):
-    rng = np.random.default_rng(0)
-    clouds = [device.upload(rng.random((n, 5)), np.full(n, 1 / n)) for n in (200, 300)]
-    potentials = [rng.random(200), rng.random(300)]
-    want = [
-        device.softmin(clouds[0], clouds[1], potentials[1], 0.01),
-        device.softmin(clouds[1], clouds[0], potentials[0], 0.01),
+def test_threads_take_turns(device, rng):
+    """Kernels store scalars; two threads change them in turn, as do sizes and epsilons."""
+    clouds = [device.upload(rng.random((n, 3)), np.full(n, 1 / n)) for n in (70, 150, 200)]
+    cases = [
+        (clouds[i], clouds[j], np.zeros(len(clouds[j])), epsilon)
+        for i, j, epsilon in ((0, 1, 0.01), (1, 0, 0.01), (0, 2, 0.02), (2, 2, 0.3))
     ]
-    wrong = []
+    wanted = [device.softmin(*case) for case in cases]
 
-    def work(rows, columns, potential, expected):
-        for _ in range(60):
-            if not np.array_equal(device.softmin(rows, columns, potential, 0.01), expected):
-                wrong.append(1)
+    def wrong(order):
+        return [n for n in order * 20 if not np.array_equal(device.softmin(*cases[n]), wanted[n])]
 
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     try:
-        threads = [
-            threading.Thread(target=work, args=(*clouds, potentials[1], want[0])),
-            threading.Thread(target=work, args=(*clouds[::-1], potentials[0], want[1])),
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        with ThreadPoolExecutor(2) as threads:
+            assert list(threads.map(wrong, ([0, 1, 2, 3], [3, 1, 0]))) == [[], []]
     finally:
         sys.setswitchinterval(interval)
-    assert not wrong
 
 
 @pytest.mark.parametrize("error", [MemoryError("too large"), cl.RuntimeError("no resources")])
