@@ -1,6 +1,5 @@
 """Each operation on each device against its NumPy version."""
 
-import inspect
 import itertools
 from dataclasses import dataclass
 
@@ -8,11 +7,11 @@ import numpy as np
 import pytest
 from clouds import PAIRS
 
-from clmorph.backends.interface import KERNEL_ERROR, Operations
+from clmorph.backends.interface import KERNEL_ERROR
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import MOMENT_CHUNK
 from clmorph.backends.opencl.build.variants import all_variants
-from clmorph.backends.opencl.kernels.gauss_transform import cell_side, make_cells, moments_pay
+from clmorph.backends.opencl.kernels.gauss_transform import moments_pay
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.verification.bench import Bench, Clouds, log_sum_exp_tolerance
 from clmorph.backends.opencl.verification.splats import Range, splat_tolerance
@@ -33,16 +32,6 @@ def _upload(operations, pair):
 def _potential(rng, n, epsilon):
     """Potentials of the size that solutions have, rough by a few epsilon."""
     return 0.2 * rng.random() + epsilon * rng.normal(size=n)
-
-
-def test_twins_have_the_protocols_signatures(device):
-    names = [name for name in vars(Operations) if not name.startswith("_")]
-    operations = [name for name in names if callable(getattr(Operations, name, None))]
-    assert operations
-    for name in operations:
-        wanted = list(inspect.signature(getattr(Operations, name)).parameters)[1:]
-        for backend in (REFERENCE, device):
-            assert list(inspect.signature(getattr(backend, name)).parameters) == wanted, name
 
 
 @dataclass(frozen=True)
@@ -142,19 +131,19 @@ def test_softmin_survives_huge_potentials(variant, rng):
     g = np.zeros(403)
     g[::7] = 1e4
     g[1::7] = -1e4
-    got = variant.softmin(*_upload(variant, pair), g, 0.01)
     want = REFERENCE.softmin(*_upload(REFERENCE, pair), g, 0.01)
-    assert np.abs(got - want).max() / 0.01 <= log_sum_exp_tolerance(variant, *pair, 0.01)
-    got = variant.softmin(*_upload(variant, pair), g, 0.01, True)
-    assert np.abs(got - want).max() / 0.01 <= log_sum_exp_tolerance(variant, *pair, 0.01, True)
+    for precise in (False, True):
+        got = variant.softmin(*_upload(variant, pair), g, 0.01, precise)
+        tolerance = log_sum_exp_tolerance(variant, *pair, 0.01, precise)
+        assert np.abs(got - want).max() / 0.01 <= tolerance
 
 
-def test_softmin_of_one_pair_is_its_cost(variant):
-    x, y = np.array([[0.1, 0.2, 0.3, 0.4, 0.5]]), np.array([[0.9, 0.1, 0.7, 0.2, 0.6]])
-    cost = 0.5 * np.sum((x - y) ** 2)
-    one = np.ones(1)
-    got = variant.softmin(variant.upload(x, one), variant.upload(y, one), np.array([0.07]), 0.0025)
-    assert got[0] == pytest.approx(cost - 0.07, abs=1e-7)
+def _half_solved(pair, epsilon, rng):
+    """Clouds of the reference, and potentials after one iteration."""
+    clouds = _upload(REFERENCE, pair)
+    f = _potential(rng, len(pair[0][0]), epsilon)
+    g = REFERENCE.softmin(*clouds[::-1], f, epsilon)
+    return clouds, REFERENCE.softmin(*clouds, g, epsilon), g
 
 
 @pytest.mark.parametrize("guessed", [True, False])
@@ -163,21 +152,17 @@ def test_softmin_of_one_pair_is_its_cost(variant):
 @pytest.mark.parametrize("name", PAIRS)
 def test_near_pairs(variant, rng, name, blur, budget, guessed):
     """What is left out is within what is said of it, and that within the budget."""
-    pair = PAIRS[name](rng)
-    epsilon = blur**2
-    exact = _upload(REFERENCE, pair)
-    f = _potential(rng, len(pair[0][0]), epsilon)
-    g = REFERENCE.softmin(exact[1], exact[0], f, epsilon)
-    whole = REFERENCE.softmin(*exact, g, epsilon)
+    pair, epsilon = PAIRS[name](rng), blur**2
+    exact, whole, g = _half_solved(pair, epsilon, rng)
     guess = whole + epsilon * (0.5 * rng.normal(size=len(whole)) if guessed else 0.0)
     tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)
     for backend, rounding in ((variant, tolerance), (REFERENCE, 1e-9)):
         clouds = _upload(backend, pair)
         near = backend.near_pairs(*clouds, g, guess, epsilon, budget)
         assert near.skipped.min() >= 0
-        assert near.n_pairs >= len(f) * len(g) or near.skipped.max() > 0
+        assert near.n_pairs >= len(whole) * len(g) or near.skipped.max() > 0
         assert near.skipped.max() <= (30 if guessed else 1.5) * budget
-        assert len(f) <= near.n_pairs
+        assert len(whole) <= near.n_pairs
         softmin = backend.softmin(*clouds, g, epsilon, False, near)
         precise = backend.softmin(*clouds, g, epsilon, True, near)
         for values in (near.softmin, softmin, precise):
@@ -230,8 +215,11 @@ def test_groups_of_tiles_are_bounded_first(variant, monkeypatch, rng, blur):
     assert np.array_equal(*counts)
 
 
-def test_a_hopeless_guess_is_told(variant, rng):
-    """Far too small a sum guessed for: everything looks large, and nothing is left out."""
+def test_a_hopeless_guess_costs_pairs_but_not_the_bound(variant, rng):
+    """The bound holds for any guess of the sums, and a second choice has a better one.
+
+    Far too small a sum guessed for: everything looks large, and nothing is left out.
+    """
     pair = PAIRS["random"](rng)
     clouds, epsilon = _upload(variant, pair), 0.01
     g = np.zeros(403)
@@ -239,11 +227,14 @@ def test_a_hopeless_guess_is_told(variant, rng):
     high = variant.near_pairs(*clouds, g, whole + 400 * epsilon, epsilon, 1e-4)
     assert high.n_pairs >= 257 * 403
     few = 400 * (np.arange(257) % 50 == 0)
-    for guess in (whole - 400 * epsilon, whole + epsilon * few, whole - epsilon * few):
-        near = variant.near_pairs(*clouds, g, guess, epsilon, 1e-4)
+    rounding = log_sum_exp_tolerance(variant, *pair, epsilon)
+    for off in (-400, -30, 3, 30, few, -few):
+        near = variant.near_pairs(*clouds, g, whole + off * epsilon, epsilon, 1e-4)
         assert np.all(np.isfinite(near.softmin))
+        again = variant.near_pairs(*clouds, g, near.softmin, epsilon, 1e-4)
+        third = variant.near_pairs(*clouds, g, again.softmin, epsilon, 1e-4)
+        assert third.skipped.max() <= 2e-4
         softmin = variant.softmin(*clouds, g, epsilon, False, near)
-        rounding = log_sum_exp_tolerance(variant, *pair, epsilon)
         assert np.all((softmin - whole) / epsilon <= near.skipped + rounding)
 
 
@@ -264,10 +255,7 @@ def test_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng, prec
 
 def _solved(pair, epsilon, rng):
     """Potentials about a solution, and thresholds by row and by column."""
-    clouds = _upload(REFERENCE, pair)
-    f = _potential(rng, len(pair[0][0]), epsilon)
-    g = REFERENCE.softmin(clouds[1], clouds[0], f, epsilon)
-    f = REFERENCE.softmin(*clouds, g, epsilon)
+    clouds, f, g = _half_solved(pair, epsilon, rng)
     columns = REFERENCE.softmin(clouds[1], clouds[0], f, epsilon)
     row_thresholds = clouds[0].log_weights + np.log(1e-6)
     column_thresholds = (g - columns) / epsilon + clouds[1].log_weights + np.log(1e-8)
@@ -288,14 +276,11 @@ def test_sums_over_stored_pairs(variant, rng, name, blur, by_near):
         rows, columns = _upload(backend, pair)
         near = None, None
         if by_near:
-            near = (
-                backend.near_pairs(
-                    rows, columns, g, backend.softmin(rows, columns, g, epsilon), epsilon, 1e-9
-                ),
-                backend.near_pairs(
-                    columns, rows, f, backend.softmin(columns, rows, f, epsilon), epsilon, 1e-9
-                ),
-            )
+            near = tuple(
+                backend.near_pairs(*clouds, values, backend.softmin(*clouds, values, epsilon),
+                                   epsilon, 1e-9)
+                for clouds, values in (((rows, columns), g), ((columns, rows), f))
+            )  # fmt: skip
         plan = PlanTerms(rows, columns, f, g, epsilon, *thresholds)
         stored = backend.store_pairs(plan, 10**9, near)
         assert 0 < stored.n_pairs <= len(f) * len(g)
@@ -324,17 +309,13 @@ def test_stored_sums_are_those_of_changed_potentials(variant, rng):
     stored = variant.store_pairs(PlanTerms(*clouds, f, g, epsilon, *thresholds), 10**9)
     assert stored.n_pairs == len(f) * len(g)
     changes = rng.normal(size=len(g)) + 100.0
-    got = variant.sum_stored(stored, changes, False)
-    softmin = REFERENCE.softmin(*_upload(REFERENCE, pair), g + epsilon * changes, epsilon)
-    want = (f - softmin) / epsilon + np.log(pair[0][1])
-    tolerance = log_sum_exp_tolerance(variant, *pair, epsilon) + 100 * 2.0**-23
-    assert np.abs(got - want).max() <= tolerance
-    # Far beyond what float32 could multiply.
-    changes[::2] -= 900.0
-    got = variant.sum_stored(stored, changes, False)
-    softmin = REFERENCE.softmin(*_upload(REFERENCE, pair), g + epsilon * changes, epsilon)
-    want = (f - softmin) / epsilon + np.log(pair[0][1])
-    assert np.abs(got - want).max() <= tolerance + 900 * 2.0**-23
+    tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)
+    for farthest in (100.0, 1000.0):  # the last is far beyond what float32 could multiply
+        changes[::2] -= farthest - 100.0
+        got = variant.sum_stored(stored, changes, False)
+        softmin = REFERENCE.softmin(*_upload(REFERENCE, pair), g + epsilon * changes, epsilon)
+        want = (f - softmin) / epsilon + np.log(pair[0][1])
+        assert np.abs(got - want).max() <= tolerance + farthest * 2.0**-23
 
 
 def test_stored_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng):
@@ -354,12 +335,8 @@ def test_stored_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rn
 @pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
 @pytest.mark.parametrize("name", PAIRS)
 def test_plan_rows(variant, rng, name, blur):
-    pair = PAIRS[name](rng)
-    epsilon = blur**2
-    exact = _upload(REFERENCE, pair)
-    f = _potential(rng, len(pair[0][0]), epsilon)
-    g = REFERENCE.softmin(exact[1], exact[0], f, epsilon)
-    f = REFERENCE.softmin(exact[0], exact[1], g, epsilon)
+    pair, epsilon = PAIRS[name](rng), blur**2
+    exact, f, g = _half_solved(pair, epsilon, rng)
     largest = REFERENCE.row_maxima(*exact, g, epsilon) + f / epsilon + exact[0].log_weights
     row_thresholds = largest + np.log(1e-3)
     column_thresholds = np.full(len(g), largest.max() - 3.0)
@@ -374,7 +351,7 @@ def test_plan_rows(variant, rng, name, blur):
     counts = variant.count_plan_rows(plan)
     assert np.array_equal(counts, np.diff(got.indptr))
     again = variant.plan_rows(plan, False, counts)
-    assert all(np.array_equal(one, other) for one, other in zip(got, again, strict=True))
+    assert all(map(np.array_equal, got, again))
     assert np.array_equal(
         REFERENCE.count_plan_rows(PlanTerms(*exact, *arguments)), np.diff(want.indptr)
     )
@@ -404,11 +381,8 @@ def _dense(rows, n_columns):
 @pytest.mark.parametrize("name", PAIRS)
 def test_plan_rows_by_lists_are_the_same(variant, monkeypatch, rng, name, blur, precise):
     """Tiles without a pair above its threshold are left out, and nothing else."""
-    pair = PAIRS[name](rng)
-    epsilon = blur**2
-    exact = _upload(REFERENCE, pair)
-    f = _potential(rng, len(pair[0][0]), epsilon)
-    g = REFERENCE.softmin(exact[1], exact[0], f, epsilon)
+    pair, epsilon = PAIRS[name](rng), blur**2
+    exact, f, g = _half_solved(pair, epsilon, rng)
     by_row = REFERENCE.row_maxima(*exact, g, epsilon) + f / epsilon + exact[0].log_weights
     by_column = REFERENCE.row_maxima(*exact[::-1], f, epsilon) + g / epsilon
     by_column += exact[1].log_weights
@@ -438,16 +412,13 @@ def test_plan_rows_by_lists_are_the_same(variant, monkeypatch, rng, name, blur, 
 def test_plan_rows_keeps_everything_or_nothing(variant, rng):
     pair = PAIRS["zero weights"](rng)
     n, m = len(pair[0][0]), len(pair[1][0])
-    everything = variant.plan_rows(
-        PlanTerms(*_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1,
-             np.full(n, -np.inf), np.full(m, -np.inf))
-    )  # fmt: skip
+    terms = *_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1
+    everything, nothing = (
+        variant.plan_rows(PlanTerms(*terms, np.full(n, limit), np.full(m, limit)))
+        for limit in (-np.inf, np.inf)
+    )
     massive = np.count_nonzero(pair[0][1]) * np.count_nonzero(pair[1][1])
     assert len(everything.mass) == massive
-    nothing = variant.plan_rows(
-        PlanTerms(*_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1,
-             np.full(n, np.inf), np.full(m, np.inf))
-    )  # fmt: skip
     assert len(nothing.mass) == 0
     assert nothing.indptr.tolist() == [0] * (n + 1)
 
@@ -492,7 +463,7 @@ def method(request, variant, monkeypatch):
     return request.param
 
 
-@pytest.mark.parametrize("sigma", [0.0, 0.3, 0.4, 1.2, 6.0, 40.0])
+@pytest.mark.parametrize("sigma", [0.0, 0.3, 0.34, 1.34, 6.0, 40.0])
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("name", SPLATS)
 def test_splat(variant, method, rng, name, shape, sigma):
@@ -525,18 +496,6 @@ def test_the_cut_stays_within_its_bound(variant, method, rng, radius_in_sigmas):
     assert np.abs(uncut[0] - cut[0]).max() <= bound
 
 
-def test_moments_are_the_same_every_time(variant, monkeypatch, rng):
-    """Cut into launches of any size, too, and with the particles of a bin in chunks."""
-    splats, _ = _splats(rng, "all in one place", (variant, REFERENCE))
-    monkeypatch.setattr(variant.splatting, "method", "moments")
-    first = variant.splat(splats, (30, 41), 1.4, 6.3)
-    for pairs in (1, 1 << 30):
-        for budget in variant.splatting._moments._budgets.values():
-            budget._pairs = pairs
-        again = variant.splat(splats, (30, 41), 1.4, 6.3)
-        assert all(np.array_equal(*pair) for pair in zip(first, again, strict=True))
-
-
 def test_strips_change_nothing_but_rounding(variant, monkeypatch, rng):
     splats, exact = _splats(rng, "spread", (variant, REFERENCE))
     monkeypatch.setattr(variant.splatting, "method", "moments")
@@ -547,30 +506,6 @@ def test_strips_change_nothing_but_rounding(variant, monkeypatch, rng):
     for sums in (whole, strips):
         relative = splat_tolerance(len(exact.weights))
         assert Range.of(exact, shape, 0.8, 3.6).excess(sums, relative) <= 1
-
-
-@pytest.mark.parametrize("sigma", [0.34, 0.66, 0.67, 1.33, 1.34, 5.0, 21.0])
-def test_kernels_are_expanded_to_their_error(sigma):
-    """The terms that the kernels keep, over all pairs of cells and pixels."""
-    rng = np.random.default_rng(0)
-    cells = make_cells(sigma, 4.5 * sigma)
-    assert cells.side == cell_side(sigma, 4.5 * sigma) <= 0.75 * sigma
-    phases, taps, orders = cells.coefficients.shape
-    kept = np.array([8, 8, 8, 4, 4, 4, 4, 0])[:, None] > np.arange(orders)
-    phase, tap = rng.integers(phases, size=(2, 4000)), rng.integers(taps, size=(2, 4000))
-    factors = cells.coefficients[phase, tap]
-    for corner in np.array([[1, 1], [1, -1], [1, 0], [0.9, 0.7], [0.3, 0.8]]):
-        polynomials = np.cos(np.arange(orders) * np.arccos(corner)[:, None])
-        got = np.einsum("kb,ka,ba,b,a->k", *factors, kept, *polynomials)
-        center = (tap - cells.reach + 0.5) * cells.side
-        distance = phase - center - 0.5 * cells.side * corner[:, None]
-        want = np.exp(-0.5 * (distance**2).sum(axis=0) / sigma**2)
-        covered = np.all(factors[..., 0] != 0, axis=0)
-        assert np.abs(got - want)[covered].max() <= KERNEL_ERROR
-        within = np.all(np.abs(distance) <= 4.5 * sigma, axis=0)
-        assert np.all(covered[within])
-        beyond = np.any(np.abs(distance) > 5.5 * sigma, axis=0)
-        assert not np.any(covered[beyond])
 
 
 def test_moments_are_taken_where_they_pay():
@@ -594,14 +529,15 @@ def test_nearest_pixel_gives_each_splat_to_one_pixel(variant, method, rng):
     assert np.array_equal(counts, want)
 
 
-def test_splatting_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng):
-    monkeypatch.setattr(variant.splatting, "method", "gather")
-    splats, _ = _splats(rng, "spread", (variant, REFERENCE))
-    whole = variant.splat(splats, (300, 41), 2.0, 9.0)
-    variant.splatting._budget._pairs = 1
-    cut = variant.splat(splats, (300, 41), 2.0, 9.0)
-    assert np.array_equal(whole[0], cut[0])
-    assert np.array_equal(whole[1], cut[1])
+@pytest.mark.parametrize("name", ["spread", "all in one place"])
+def test_splatting_launches_are_cut_without_changing_a_bit(variant, method, monkeypatch, rng, name):
+    """With the particles of a bin in chunks, too."""
+    splats, _ = _splats(rng, name, (variant, REFERENCE))
+    results = []
+    for pairs in (1 << 30, 1):
+        monkeypatch.setattr(LaunchBudget, "pairs", lambda self, pairs=pairs: pairs)
+        results.append(variant.splat(splats, (300, 41), 1.4, 6.3))
+    assert all(map(np.array_equal, *results))
 
 
 def test_offsets_add_to_the_cost(variant, rng):
@@ -702,21 +638,17 @@ def test_a_canvas_of_4096_pixels_a_side(device):
     rng = np.random.default_rng(0)
     places = np.round(64 * rng.uniform(-20, 4116, (60_000, 2))) / 64  # exact when moved
     colors, weights = rng.random((2, 60_000, 3))[0], rng.random(60_000)
-    whole = device.splat(
-        device.upload_splats(*(x.astype(np.float32) for x in (places, colors, weights))),
-        (4096, 4096), 1.5, 7.0,
-    )  # fmt: skip
+
+    def drawn(places, chosen, side):
+        arrays = (each[chosen].astype(np.float32) for each in (places, colors, weights))
+        return device.splat(device.upload_splats(*arrays), (side, side), 1.5, 7.0)
+
+    whole = drawn(places, slice(None), 4096)
     for corner in ((0, 0), (2048, 3000), (4032, 4032)):
         moved = places - corner[::-1]  # places are (x, y)
         near = np.all((moved > -16) & (moved < 80), axis=1)
-        part = device.splat(
-            device.upload_splats(
-                *(x[near].astype(np.float32) for x in (moved, colors, weights))
-            ),
-            (64, 64), 1.5, 7.0,
-        )  # fmt: skip
         assert near.sum() > 20
-        for large, small in zip(whole, part, strict=True):
+        for large, small in zip(whole, drawn(moved, near, 64), strict=True):
             assert np.abs(small).max() > 0.1
             section = large[corner[0] : corner[0] + 64, corner[1] : corner[1] + 64]
             # The cut may lie a kernel width farther out in one of both.
