@@ -6,7 +6,6 @@ import pytest
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.kernels import nearest_seeds as seed_tree
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
-from clmorph.backends.opencl.kernels.nearest_seeds import plant
 from clmorph.backends.opencl.verification.fields import SEED_TOLERANCE, seed_excess
 
 REFERENCE = NumPyOperations()
@@ -98,37 +97,16 @@ def test_launches_are_cut_without_changing_a_bit(each_device, monkeypatch, rng, 
     assert np.array_equal(each_device.nearest_seeds(seeds, (33, 41)), whole)
 
 
-@pytest.mark.parametrize("count", [1, 7, 8, 9, 33, 129, 3000, 70_000])
-def test_a_tree_holds_each_seed_once(rng, count):
-    seeds = rng.normal(size=(count, 2)).astype(np.float32)
-    tree = plant(seeds)
-    assert sorted(set(tree.order.tolist())) == list(range(count))
-    assert np.array_equal(tree.seeds, seeds[tree.order])
-    ends = [*tree.starts[1:].tolist(), len(tree.boxes)]
-    assert ends[-1] == int(tree.starts[-1]) + 1
-    below, ways = tree.order, 8
-    for first, stop in zip(tree.starts.tolist(), ends, strict=True):
-        lowest = np.minimum.reduceat(below, np.arange(0, len(below), ways))
-        below, ways = tree.lowest[first:stop], 4
-        assert np.array_equal(below[: len(lowest)], lowest)
-    leaves = tree.seeds.reshape(-1, 8, 2)
-    assert np.array_equal(
-        tree.boxes[: len(leaves)], np.hstack((leaves.min(axis=1), leaves.max(axis=1)))
-    )
-    assert np.array_equal(tree.boxes[-1], np.hstack((seeds.min(axis=0), seeds.max(axis=0))))
-
-
-def test_many_seeds_take_few_visits(each_device, rng):
+def test_many_seeds_take_few_visits(each_device, monkeypatch, rng):
     """Each pixel near its own seed: about as much work as pixels."""
     side = 256
     seeds = rng.uniform(-0.5, side - 0.5, (side * side, 2)).astype(np.float32)
-    visits = []
-    with pytest.MonkeyPatch.context() as patch:
-        learn = LaunchBudget.learn
-        patch.setattr(
-            LaunchBudget,
-            "learn",
-            lambda self, rounds, seconds: (visits.append(rounds), learn(self, rounds, seconds)),
-        )
-        each_device.nearest_seeds(seeds, (side, side))
+    visits, learn = [], LaunchBudget.learn
+
+    def noted(self, rounds, seconds):
+        visits.append(rounds)
+        learn(self, rounds, seconds)
+
+    monkeypatch.setattr(LaunchBudget, "learn", noted)
+    each_device.nearest_seeds(seeds, (side, side))
     assert sum(visits) <= 100 * side * side / min(4, each_device.constants.width)
