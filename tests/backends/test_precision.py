@@ -25,16 +25,12 @@ from clmorph.reference import NumPyOperations
 REFERENCE = NumPyOperations()
 
 
-@pytest.fixture(params=["float64", "pairs of float32", "slow float64"])
+@pytest.fixture(params=["float64", "no_float64", "slow_float64"])
 def precise_device(request, device):
     """Each device with float64, without, and with float64 for little but iterations."""
-    constants = choose_constants(device.device)
-    if request.param == "float64":
-        return OpenCLOperations(device.device, constants, verify=False)
-    quirk = "no_float64" if request.param == "pairs of float32" else "slow_float64"
-    return OpenCLOperations(
-        device.device, apply_quirks(constants, frozenset({quirk})), verify=False
-    )
+    quirks = frozenset({request.param} - {"float64"})
+    constants = apply_quirks(choose_constants(device.device), quirks)
+    return OpenCLOperations(device.device, constants, verify=False)
 
 
 def pictures(side=32):
@@ -137,15 +133,6 @@ def test_a_tolerance_below_rounding_is_answered_so(device, precision, tol):
     assert got.status == "precision"
     assert got.n_iter < 300
     assert true_residual(source, target, got, 0.09) < 1e-3
-
-
-def test_no_float64_is_a_build_option(device):
-    constants = choose_constants(device.device, frozenset({"no_float64"}))
-    precise = Variant("log_sum_exp.cl", 5, precise=True)
-    assert precise.macros(constants)["PRECISE"] == 1
-    assert precise.macros(replace(constants, precise=2))["PRECISE"] == 2
-    assert Variant("log_sum_exp.cl", 5).macros(constants)["PRECISE"] == 0
-    assert not OpenCLOperations(device.device, constants).has_float64
 
 
 class Card:
