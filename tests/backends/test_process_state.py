@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 
 import numpy as np
@@ -25,7 +26,7 @@ from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
-from clmorph.backends.opencl.devices import process, runtimes, trial, verdicts
+from clmorph.backends.opencl.devices import runtimes, trial, verdicts
 from clmorph.backends.opencl.devices.find import choose_device, find_devices
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import PlanSizeError
@@ -39,22 +40,10 @@ WORKS = verdicts.Verdict(pairs_per_second=1.0)
 
 
 def in_threads(function, count=8):
-    """Call a function in threads at once and return what it returned or raised."""
-    gate, answers = threading.Barrier(count), []
-
-    def run():
-        gate.wait()
-        try:
-            answers.append(function())
-        except Exception as error:
-            answers.append(error)
-
-    threads = [threading.Thread(target=run) for _ in range(count)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    return answers
+    """Call a function in threads at once and return what it returned."""
+    gate = threading.Barrier(count)
+    with ThreadPoolExecutor(count) as threads:
+        return list(threads.map(lambda _: (gate.wait(), function())[1], range(count)))
 
 
 @pytest.mark.needs_device
@@ -66,8 +55,7 @@ def test_threads_share_one_trial_of_a_device(asked, monkeypatch):
         return WORKS
 
     monkeypatch.setattr(devices, "run_probe", slow)
-    find = find_devices
-    answers = in_threads(find)
+    answers = in_threads(find_devices)
     assert len(asked) == len(answers[0]) > 0
     assert all(answer is answers[0] for answer in answers)
 
@@ -92,6 +80,15 @@ def test_threads_share_one_backend(monkeypatch):
     assert clmorph.get_backend("another name") is answers[0]
 
 
+def let_probe_be(monkeypatch, folder, code):
+    """Let code stand for the probe; only what sleeps runs out of time."""
+    script = folder / "probe.py"
+    script.write_text(code)
+    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+    # The others may start late on a busy machine.
+    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep(60)" in code else "60")
+
+
 @pytest.mark.parametrize(
     ("body", "words", "lasting"),
     [
@@ -106,12 +103,8 @@ def test_threads_share_one_backend(monkeypatch):
     ],
 )
 def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, words, lasting):
-    script = tmp_path / "probe.py"
-    script.write_text(body)
-    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+    let_probe_be(monkeypatch, tmp_path, body)
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
-    # Only what sleeps runs out of time; the others may start late on a busy machine.
-    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
     verdict = trial.run_probe("0:0")
     assert words in verdict.reason
     verdicts.save("devices/key", verdict)
@@ -126,17 +119,15 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, words
 )
 def test_a_child_of_the_probe_does_not_hold_its_trial_up(monkeypatch, tmp_path, body, words):
     """A process that a driver starts keeps the probe's standard output open."""
-    script = tmp_path / "probe.py"
     child = [sys.executable, "-c", "import time; time.sleep(20)"]
-    script.write_text(
+    let_probe_be(
+        monkeypatch, tmp_path,
         "import os, subprocess, time\n"
         f"child = subprocess.Popen({child!r})\n"
         f"print({trial.LOADED!r}, flush=True)\n"
         f"print(child.pid, file=open({str(tmp_path / 'pid')!r}, 'w'), flush=True)\n"
-        f"{body}\n"
-    )
-    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
-    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
+        f"{body}\n",
+    )  # fmt: skip
     verdict = trial.run_probe("0:0")
     os.kill(int((tmp_path / "pid").read_text()), 9)  # it fails if the child has ended, after 20 s
     assert words in verdict.reason
@@ -152,10 +143,9 @@ def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path, fresh_sea
 
     monkeypatch.setattr(trial, "_run", interrupted)
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
-    find = find_devices
     for _ in range(2):  # the lock is free again
         with pytest.raises(KeyboardInterrupt):
-            find()
+            find_devices()
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(closed[-1])
@@ -299,22 +289,16 @@ def test_what_is_no_file_is_none(asked, tmp_path, kind):
 
 @pytest.mark.needs_device
 def test_writers_at_once_keep_each_others_verdicts(monkeypatch, tmp_path):
-    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
-    names = iter([f"{number:02}" for number in range(64)])
-
-    def write():
-        for name in names:
-            verdicts.save(f"devices/{name}", WORKS)
-
     code = "from clmorph.backends.opencl.devices import trial, verdicts as v\n"
     code += "for n in range(64, 128): v.save(f'devices/{n}', v.Verdict())"
-    environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path.parent))
-    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path.parent / "clmorph")
+    environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path))
+    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path / "clmorph")
     other = subprocess.Popen([sys.executable, "-c", code], env=environment)
-    write()
+    for number in range(64):
+        verdicts.save(f"devices/{number}", WORKS)
     assert other.wait() == 0
-    found = {path.stem for path in (tmp_path.parent / "clmorph" / "devices").iterdir()}
-    assert found == {f"{number:02}" for number in range(128)}
+    found = {path.stem for path in (tmp_path / "clmorph" / "devices").iterdir()}
+    assert found == {str(number) for number in range(128)}
     verdicts.forget()
 
 
@@ -487,16 +471,6 @@ def test_a_forked_child_is_told_and_can_use_numpy(device):
     os.kill(child, 9)
     os.waitpid(child, 0)
     pytest.fail("the child hangs")
-
-
-def test_a_claim_is_of_this_process(monkeypatch):
-    process.claim_opencl()
-    monkeypatch.setattr(process, "_owner", os.getpid() + 1)
-    with pytest.raises(DeviceError, match="spawn"):
-        process.claim_opencl()
-    monkeypatch.setattr(process, "_owner", None)
-    process.claim_opencl()
-    assert process._owner == os.getpid()
 
 
 @pytest.mark.needs_device
