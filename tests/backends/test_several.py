@@ -13,7 +13,7 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.multi_device import MultiDevice, members_of, sharing_notes, turns
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.backends.opencl.devices.find import index_of
 
 pytestmark = pytest.mark.one_device
 
@@ -91,13 +91,9 @@ def test_memory_is_the_least():
 # --- names of devices -----------------------------------------------------------------------
 
 
-def index_of(device):
-    return next(found.index for found in find_devices() if found.handle == device.device)
-
-
 def test_a_list_of_devices(device, monkeypatch):
     monkeypatch.delenv("CLMORPH_DEVICE", raising=False)
-    index = index_of(device)
+    index = index_of(device.device)
     several = clmorph.get_backend([index, "numpy"])
     assert members_of(several) == [device, clmorph.get_backend("numpy")]
     for same in ((index, "numpy"), [device, "numpy"], f"{index},numpy", f" {index} , numpy"):
@@ -125,7 +121,7 @@ def test_a_backend_of_objects_is_not_kept(device):
 
 def test_wrong_lists(device, monkeypatch):
     monkeypatch.delenv("CLMORPH_DEVICE", raising=False)
-    index, name = index_of(device), device.device.name.strip()
+    index, name = index_of(device.device), device.device.name.strip()
     for wrong, words in (
         ([], r"backend=\[\]: expected at least one device"),
         ([index, name], "are the same device"),
