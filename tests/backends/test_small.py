@@ -47,36 +47,32 @@ def test_every_operation(each_device):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-5)
 
 
+def by_both(function, device, *given, **options):
+    """What a function returns with a device, and with NumPy."""
+    return (function(*given, **options, backend=backend) for backend in (device, "numpy"))
+
+
 def test_a_solve(each_device):
-    source, target = (lift(picture) for picture in pictures(9))
-    ours, theirs = (sinkhorn(source, target, backend=backend) for backend in (each_device, "numpy"))
+    ours, theirs = by_both(sinkhorn, each_device, *map(lift, pictures(9)))
     assert ours.converged
     assert np.abs(ours.f - theirs.f).max() <= 0.03 * ours.epsilon
 
 
 def test_solves_at_once(each_device):
     measures = [lift(picture) for side in (3, 9, 4) for picture in pictures(side)]
-    ours, theirs = (
-        sinkhorn_batch(measures[::2], measures[1::2], backend=backend)
-        for backend in (each_device, "numpy")
-    )
+    ours, theirs = by_both(sinkhorn_batch, each_device, measures[::2], measures[1::2])
     assert ours.converged
     for one, other in zip(ours, theirs, strict=True):
         assert np.abs(one.f - other.f).max() <= 0.03 * one.epsilon
 
 
 def test_a_divergence(each_device):
-    source, target = (lift(picture) for picture in pictures(8))
-    ours, theirs = (
-        sinkhorn_divergence(source, target, backend=backend) for backend in (each_device, "numpy")
-    )
+    ours, theirs = by_both(sinkhorn_divergence, each_device, *map(lift, pictures(8)))
     assert ours.value == pytest.approx(theirs.value, rel=1e-4, abs=1e-7)
 
 
 def test_a_morph(each_device):
-    ours, theirs = (
-        morph(*pictures(9), n_frames=3, backend=backend) for backend in (each_device, "numpy")
-    )
+    ours, theirs = by_both(morph, each_device, *pictures(9), n_frames=3)
     for got, want in zip(ours.frames, theirs.frames, strict=True):
         assert np.abs(got - want).max() <= 1 / 255
 
