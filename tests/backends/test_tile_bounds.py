@@ -7,16 +7,12 @@ from clouds import PAIRS
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels import candidates, tile_bounds
-from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS, TileFits
-from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E
-from clmorph.backends.opencl.kernels.tile_bounds import TileLists, all_tiles
+from clmorph.backends.opencl.kernels.tile_bounds import all_tiles
 from clmorph.backends.opencl.kernels.tile_pairs import column_bounds, row_bounds
 
 #: Clouds in five dimensions, and in others.
 CLOUDS = {**PAIRS, **dict.fromkeys((1, 2, 11))}
-#: Row tiles that share a list.
-BLOCK = WIDTH_OF_GROUPS
 
 
 def in_float64(rows, columns, k):
@@ -80,87 +76,6 @@ def test_bounds_hold_and_are_those_of_the_formula(variant, rng, name, largest):
     assert np.all(got >= want)
     assert np.all(got <= want + 2 * (dimension + 12) / 2**24 * sizes)
     assert np.all(got >= of_tiles(shares, variant.constants.tile, largest))
-
-
-def test_lists_of_any_length(variant, rng, monkeypatch):
-    """Blocks have lists of their own, in one launch or several, and take the largest bound."""
-    pair = [(rng.random((n, 5)), np.full(n, 1 / n)) for n in (64 * 21 - 5, 64 * 37 - 9)]
-    clouds, one, k, _ = sides_of(variant, pair, 0.01, rng)
-    n_rows, n_columns = (len(cloud.centers) for cloud in clouds)
-    other = one[0], column_bounds(clouds[1], rng.normal(size=len(clouds[1])), k)
-    lengths = np.array([rng.integers(1, n_columns + 1) for _ in range(-(-n_rows // BLOCK))])
-    lengths[0], lengths[-1] = 1, n_columns
-    numbers = [np.sort(rng.permutation(n_columns)[:length]) for length in lengths]
-    whole_list = TileLists(
-        0, np.concatenate(numbers).astype(np.uint32), np.cumsum(lengths) - lengths, lengths
-    )
-    each = [
-        TileLists(first, own.astype(np.uint32), np.zeros(1, int), lengths[first : first + 1])
-        for first, own in enumerate(numbers)
-    ]
-    kernel = variant.plan_row_reductions.tile_bounds
-    whole = [in_float64(*sides, k)[0] for sides in (one, other)]
-    results = []
-    # How many bounds a launch has otherwise depends on how long the last ones took.
-    monkeypatch.setattr(LaunchBudget, "pairs", lambda budget: 1 << 40)
-    for most, lists in ((1 << 22, [whole_list]), (100, [whole_list]), (1 << 22, each)):
-        monkeypatch.setattr(tile_bounds, "LAUNCH_BOUNDS", most)
-        parts = list(kernel.bounds(clouds[0], [one, other], k, lists))
-        assert (len(parts) > 1) == (lists is each or most == 100)
-        assert [row for part in parts for row in part.part] == list(range(n_rows))
-        for part in parts:
-            assert len(part.list_offsets) == len(part.part)
-            for place, row in enumerate(part.part):
-                own = slice(part.starts[place], part.starts[place + 1])
-                listed = part.numbers[own.start - part.list_offsets[place] :][
-                    : own.stop - own.start
-                ]
-                assert np.array_equal(listed, numbers[row // BLOCK])
-                want = np.maximum(*(each[row, listed] for each in whole))
-                assert np.abs(part.values[own] - want).max() <= 1e-5 * np.abs(want).max()
-        results.append(np.concatenate([part.values for part in parts]))
-    assert np.array_equal(results[0], results[1])
-    assert np.array_equal(results[0], results[2])
-
-
-@pytest.mark.parametrize("wide_from", [1, 1 << 62], ids=["groups first", "tiles alone"])
-@pytest.mark.parametrize("blur", [0.5, 0.1, 0.02])
-def test_candidates_leave_out_no_more_than_they_report(device, rng, monkeypatch, wide_from, blur):
-    """Over any row, the shares of tiles that are not candidates are within the bound."""
-    monkeypatch.setattr(candidates, "WIDE_FROM", wide_from)
-    monkeypatch.setattr(tile_bounds, "LAUNCH_BOUNDS", 2000)
-    y, x = np.meshgrid(*[np.linspace(0, 1, 70)] * 2, indexing="ij")
-    colors = np.stack((x * y, np.sin(5 * x + y), 0.1 * rng.random(x.shape)), axis=2)
-    points = np.dstack((x, y, colors)).reshape(-1, 5)
-    pair = [(points[: 4900 - drop], np.full(4900 - drop, 1 / 4900)) for drop in (3, 1000)]
-    rows, columns = (device.upload(*each) for each in pair)
-    k, tile, budget = LOG2_E / blur**2, device.constants.tile, 1e-9
-    g = np.zeros(len(columns))
-    exact = NumPyOperations()
-    softmin = exact.softmin(*(exact.upload(*each) for each in pair), g, blur**2)
-    guess, values = -k * softmin[rows.order], columns.log2_weights
-    kernel = device.plan_row_reductions.tile_bounds
-    x, y = (each[cloud.order] for (each, _), cloud in zip(pair, (rows, columns), strict=True))
-    seen, kept = 0, 0
-    for part, pairs, unseen in candidates.candidates(
-        kernel, rows, columns, row_bounds(rows, guess, k), guess, values, k, budget
-    ):
-        assert part.start == seen
-        seen = part.stop
-        assert unseen.max() <= budget
-        for row_tile in part:
-            own = slice(row_tile * tile, (row_tile + 1) * tile)
-            listed = pairs.tiles[pairs.starts[row_tile] : pairs.starts[row_tile + 1]]
-            assert np.all(np.diff(listed.astype(int)) > 0)
-            assert listed.size
-            kept += listed.size
-            left = ~np.isin(np.arange(len(columns)) // tile, listed)
-            cost = 0.5 * ((x[own, None] - y[left]) ** 2).sum(axis=2)
-            share = np.exp2(values[left] - k * cost - guess[own, None]).sum(axis=1)
-            assert share.max() <= unseen[row_tile - part.start]
-    assert seen == len(rows.centers)
-    if blur == 0.02:
-        assert kept < 0.8 * len(rows.centers) * len(columns.centers)
 
 
 @pytest.mark.parametrize("wide_from", [1, 1 << 62], ids=["groups first", "tiles alone"])
@@ -230,20 +145,3 @@ def test_lengths_of_launches_change_no_list(device, rng, monkeypatch):
         assert np.array_equal(near.skipped, found[0].skipped)
     assert [len(near.pairs.masks) for near in found[:2]] == [1, 1]
     assert len(found[2].pairs.masks) > 1
-
-
-def test_fits_of_all_points_and_of_some(rng):
-    """Slopes of linear values are exact but for the ridge, whichever points are present."""
-    shifts = rng.uniform(-0.1, 0.1, (7, 64, 5)).astype(np.float32)
-    slopes = rng.normal(size=(7, 5))
-    values = np.einsum("ntd,nd->nt", shifts, slopes) + rng.normal(size=(7, 1))
-    present = np.ones((7, 64), bool)
-    fits = TileFits(shifts)
-    assert np.abs(fits.slopes(values, present) - slopes).max() <= 1e-3
-    present[2:4] = rng.random((2, 64)) < 0.5
-    values[~present] = 1e3
-    assert np.abs(fits.slopes(values, present) - slopes).max() <= 1e-3
-    # Points in one place, or without any that is present, have finite slopes.
-    shifts[5] = shifts[5, 0]
-    present[6] = False
-    assert np.all(np.isfinite(TileFits(shifts).slopes(values, present)))
