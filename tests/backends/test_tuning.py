@@ -1,8 +1,6 @@
 """Tuned constants are stored, used and forgotten, and invalid records of them are ignored."""
 
-import itertools
 import time
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,12 +11,10 @@ from clmorph.backends.opencl import probe
 from clmorph.backends.opencl import tuner as tuning
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import tuned_record
-from clmorph.backends.opencl.build.constants import choose_constants, cpu_constants, gpu_constants
+from clmorph.backends.opencl.build.constants import choose_constants
 from clmorph.backends.opencl.build.programs import program_key
 from clmorph.backends.opencl.build.tuned_record import (
-    CANDIDATES,
     forget_tuning,
-    is_possible,
     tuned_constants,
 )
 from clmorph.backends.opencl.build.variants import Variant
@@ -47,21 +43,6 @@ def fast_tile(monkeypatch):
 
     monkeypatch.setattr(tuning, "_speed", speed)
     return tried
-
-
-@pytest.mark.parametrize("start", [cpu_constants(16), gpu_constants(256)])
-def test_every_combination_is_reached(start):
-    """By changes of one constant after the other."""
-    reached, new = {start}, [start]
-    while new:
-        constants = new.pop()
-        for name in CANDIDATES:
-            found = set(tuning.variants(constants, name, 256)) - reached
-            reached |= found
-            new += found
-    products = itertools.product(*CANDIDATES.values())
-    every = (replace(start, **dict(zip(CANDIDATES, values, strict=True))) for values in products)
-    assert {constants for constants in every if is_possible(constants, 256)} <= reached
 
 
 @pytest.mark.full
