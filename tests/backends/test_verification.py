@@ -178,12 +178,6 @@ def test_every_variant_is_right_with_each_quirk(device, quirk, of_card, built):
     assert first_failure(forced, built) == ""
 
 
-def test_where_loops_are_short_the_longest_stored_rows_are_right(device):
-    constants = choose_constants(device.device, find_quirks(device.device) | {"short_loops"})
-    forced = OpenCLOperations(device.device, constants, verify=False)
-    assert first_failure(forced, Variant("sliced_ellpack.cl")) == ""
-
-
 # --- verdicts on programs -------------------------------------------------------------------
 
 
@@ -248,17 +242,6 @@ def test_a_program_is_verified_once(one, requests, empty):
         verdicts._known.clear()  # as in a new process
     assert len(requests) == 2
     assert len(list((empty / "verified").iterdir())) == len(usual_variants()) + 1
-
-
-@pytest.mark.parametrize("damaged", ["", "{", "[]", "{}", '{"reason": ""}'])
-def test_a_damaged_verdict_is_none(one, requests, empty, damaged):
-    made(one).verify(OTHER)
-    verdicts._known.clear()
-    (file,) = (empty / "verified").iterdir()
-    file.write_text(damaged)
-    made(one).verify(OTHER)
-    assert len(requests) == 2
-    assert json.loads(file.read_text()) == asdict(Verdict())
 
 
 def test_without_a_cache_folder_the_process_remembers(one, requests, monkeypatch):
