@@ -1,17 +1,10 @@
 """Plans and potentials are POT's, by ``tools/compare_peers.py``."""
 
 import sys
-from pathlib import Path
 
+import compare_peers
 import pytest
-
-TOOLS = Path(__file__).parents[2] / "tools"
-if not TOOLS.exists():
-    pytest.skip("the tools need a checkout", allow_module_level=True)
-sys.path.insert(0, str(TOOLS))
-
-import compare_peers  # noqa: E402
-from findings import Findings  # noqa: E402
+from findings import Findings
 
 
 @pytest.fixture(autouse=True)

@@ -3,22 +3,15 @@
 import re
 import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
+import cross_check
 import numpy as np
 import pytest
-
-TOOLS = Path(__file__).parents[2] / "tools"
-if not TOOLS.exists():
-    pytest.skip("the tools need a checkout", allow_module_level=True)
-sys.path.insert(0, str(TOOLS))
-
-import cross_check  # noqa: E402
-from crosscheck import claims, exact, judge  # noqa: E402
-from crosscheck.exact import Dense, make_side  # noqa: E402
-from crosscheck.numbers import EXTENDED, NUMBER  # noqa: E402
-from findings import Findings  # noqa: E402
+from crosscheck import claims, exact, judge
+from crosscheck.exact import Dense, make_side
+from crosscheck.numbers import EXTENDED, NUMBER
+from findings import Findings
 
 SEED = 20261122
 #: Seconds of work for one solve.
@@ -38,13 +31,6 @@ def dense(a, x, b, y, blur, rho, offsets=(None, None)):
 
 def kl(p, q):
     return p * np.log(p / q) - p + q
-
-
-def near(optimum, value, share=CLOSE):
-    """Hold the bounds to be on both sides of a value, and close."""
-    assert optimum.settled
-    assert optimum.low <= value + share * abs(value)
-    assert optimum.high >= value - share * abs(value)
 
 
 RHOS = [(0.09, 0.09), (1e-4, 25.0), (INF, 0.3), (2.0, INF), (INF, INF)]
@@ -71,36 +57,9 @@ def test_two_diracs(rho, masses, blur):
     value = cost * m + epsilon * kl(m, a * b)
     for strength, mass in zip(strengths, (a, b), strict=True):
         value += 0 if np.isinf(strength) else strength * kl(m, mass)
-    near(judge.solve(problem), value, 20 * CLOSE)
-
-
-@pytest.mark.parametrize("rho", RHOS, ids=str)
-def test_primal_and_dual_agree(rho):
-    """Both as they are written, over a dense plan, to 1e-15."""
-    rng = np.random.default_rng(7)
-    a, b = rng.integers(1, 100, 30) / 64, rng.integers(1, 100, 41) / 64
-    if rho == (INF, INF):
-        b = np.append(a / 2, a / 2)[rng.permutation(60)]
-    problem = dense(a, rng.random((30, 3)), b, rng.random((len(b), 3)), 0.0625, rho)
-    found = judge.solve(problem)
+    found, rounding = judge.solve(problem), 20 * CLOSE * abs(value)
     assert found.settled
-    f, g, epsilon, cost = found.f, found.g, problem.epsilon, problem.cost()
-    reference = problem.source.mass[:, None] * problem.target.mass
-    plan = np.exp((f[:, None] + g - cost) / epsilon) * reference
-    primal = (cost * plan).sum() + epsilon * kl(plan, reference).sum()
-    dual = -epsilon * (plan - reference).sum()
-    for side, potential, marginal in (
-        (problem.source, f, plan.sum(axis=1)), (problem.target, g, plan.sum(axis=0)),
-    ):  # fmt: skip
-        if side.balanced:
-            dual += (side.mass * potential).sum()
-            assert np.abs(marginal / side.mass - 1).max() < 1e4 * CLOSE
-        else:
-            dual += side.rho * (side.mass * (1 - np.exp(-potential / side.rho))).sum()
-            primal += side.rho * kl(marginal, side.mass).sum()
-    share = 1e-15 if EXTENDED else 1e-11
-    assert abs(primal - dual) <= share * abs(dual)
-    assert abs(dual - found.low) <= share * abs(dual)
+    assert found.low - rounding <= value <= found.high + rounding
 
 
 def above(value):
@@ -139,15 +98,6 @@ def honest(rho, sigma=0.0):
 
 def broken(told):
     return {outcome.check for outcome in claims.check(told) if outcome.broken}
-
-
-@pytest.mark.parametrize("rho", RHOS, ids=str)
-@pytest.mark.parametrize("sigma", [0.0, 1e-4, 0.01])
-def test_the_truth_is_no_finding(rho, sigma):
-    told = honest(rho, sigma)
-    assert broken(told) == set()
-    checked = {outcome.check for outcome in claims.check(told)}
-    assert {"dual <= optimum", "dual <= D(f, g)", "residual", "row_mass", "finite"} <= checked
 
 
 MASSES = {"row_mass", "column_mass", "transported_mass"}
@@ -199,18 +149,6 @@ def test_what_is_wrong_is_found(rho, sigma, changed, expected):
     found = broken(replace(told, result=SimpleNamespace(**values)))
     assert found & expected
     assert found <= expected
-
-
-@pytest.mark.parametrize("rho", [ONE_SIDED, BALANCED], ids=str)
-def test_a_primal_below_the_optimum_is_found(rho):
-    """With a balanced side there need not be a primal; one with a gap is held to be a bound."""
-    told = honest(rho)
-    values = vars(told.result) | {"primal": float(told.optimum.low) - 1e-9}
-    values["gap"] = values["primal"] - values["dual"]
-    assert "optimum <= primal" in broken(replace(told, result=SimpleNamespace(**values)))
-    values["primal"] = float(told.optimum.high) + 1e-9
-    values["gap"] = values["primal"] - values["dual"]
-    assert broken(replace(told, result=SimpleNamespace(**values))) == set()
 
 
 @pytest.mark.parametrize("share", range(4))

@@ -1,38 +1,30 @@
 """``tools/golden_record.py`` records the same results twice, and detects a change."""
 
-import importlib
 import json
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
+import golden_record as tool
 import pytest
-
-TOOLS = Path(__file__).parents[2] / "tools"
 
 
 @pytest.fixture
-def tool(monkeypatch):
+def small(monkeypatch):
     """The tool with one small command in place of its own; its other processes run in this one."""
-    if not TOOLS.exists():
-        pytest.skip("the tools need a checkout")
-    monkeypatch.syspath_prepend(str(TOOLS))
-    tool = importlib.import_module("golden_record")
 
     def run(command, **options):
         with monkeypatch.context() as patch:
             patch.setattr(sys, "argv", command[1:])
             return SimpleNamespace(returncode=tool.main())
 
-    small = ("small", "ab", ".npz", ("--size", "6", "--frames", "2"))
-    monkeypatch.setattr(tool.cases, "COMMANDS", (small,))
+    command = ("small", "ab", ".npz", ("--size", "6", "--frames", "2"))
+    monkeypatch.setattr(tool.cases, "COMMANDS", (command,))
     monkeypatch.setattr(tool.cases, "calls", lambda backend, folder: iter([("a call", [1.0])]))
     monkeypatch.setattr(tool, "subprocess", SimpleNamespace(run=run, DEVNULL=None))
-    return tool
 
 
 @pytest.mark.full
-def test_make_and_compare(tool, tmp_path, monkeypatch, capsys):
+def test_make_and_compare(small, tmp_path, monkeypatch, capsys):
     file = tmp_path / "golden.json"
     arguments = [str(file), "--device", "numpy"]
     for task, code, words in (

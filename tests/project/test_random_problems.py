@@ -1,16 +1,7 @@
 """A few of the random problems of ``tools/random_problems.py``, whose errors have limits."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-TOOLS = Path(__file__).parents[2] / "tools"
-if not TOOLS.exists():
-    pytest.skip("the tools need a checkout", allow_module_level=True)
-sys.path.insert(0, str(TOOLS))
-
-import random_problems  # noqa: E402
+import random_problems
 
 
 @pytest.mark.parametrize(

@@ -1,22 +1,13 @@
 """Run a small part of ``tools/faults.py``."""
 
 import sys
-from pathlib import Path
 
 import pytest
 from conftest import TESTED
 
-TOOLS = Path(__file__).parents[2] / "tools"
-
-
-@pytest.fixture(autouse=True)
-def tools(monkeypatch):
-    if not TOOLS.exists() or sys.platform == "win32":
-        pytest.skip("the tools need a checkout, and signals as POSIX has them")
-    monkeypatch.syspath_prepend(str(TOOLS))
-
 
 @pytest.mark.full
+@pytest.mark.skipif(sys.platform == "win32", reason="needs signals as POSIX has them")
 @pytest.mark.needs_device
 def test_runs_that_are_interrupted(capsys):
     """Ctrl-C while frames are drawn and written, over an old file and without one; a full disk."""
