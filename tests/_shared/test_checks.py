@@ -15,7 +15,6 @@ from clmorph._shared.validation import (
 )
 from clmorph.errors import InputError
 
-SMALL = np.zeros((3, 4, 3))
 HUGE = 10**400
 #: More digits than Python prints.
 ENDLESS = 10**5000
@@ -52,38 +51,6 @@ def test_choices_are_shown_in_one_line():
             check_choice("mode", value, ("x", "y"))
         assert "\n" not in str(caught.value)
         assert len(str(caught.value)) < SHOWN_LENGTH + 60
-
-
-@pytest.mark.parametrize("value", [HUGE, ENDLESS], ids=["400 digits", "5000 digits"])
-@pytest.mark.parametrize(
-    "name",
-    ["n_frames", "blur", "reach", "rho", "epsilon", "tol", "max_iter", "color_weight", "seed",
-     "sigma_start", "sigma_end", "gamma", "sample", "solve_size", "max_particles", "max_memory",
-     "log_threshold"],
-)  # fmt: skip
-def test_options_of_the_library(name, value):
-    with pytest.raises(clmorph.InputError, match=name.split("_")[0]) as caught:
-        plain.morph(SMALL, SMALL, backend="numpy", **{name: value})
-    assert len(str(caught.value)) < 300
-
-
-@pytest.mark.parametrize("value", [HUGE, ENDLESS], ids=["400 digits", "5000 digits"])
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda value: clmorph.fit(SMALL, value),
-        lambda value: clmorph.read_image("a.png", max_pixels=value),
-        lambda value: plain.lift(SMALL, value),
-        lambda value: plain.inspect(SMALL, SMALL, n_frames=value, backend="numpy"),
-        lambda value: plain.inspect(SMALL, SMALL, max_bytes=value, backend="numpy"),
-        lambda value: plain.inspect(SMALL, SMALL, max_memory=value, backend="numpy"),
-        lambda value: plain.morph(SMALL, SMALL, reach=(value, 1), backend="numpy"),
-    ],
-)
-def test_functions_of_the_library(call, value):
-    with pytest.raises(clmorph.InputError) as caught:
-        call(value)
-    assert len(str(caught.value)) < 300
 
 
 def test_a_shape_that_is_none():

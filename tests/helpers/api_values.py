@@ -491,7 +491,8 @@ NASTY: dict[str, Callable[[], Any]] = {
 
 
 #: Values that every argument meets in the quick run.
-CORE = {"None", "True", "text", "nan", "-1", "10**400", "0-d masked", "object", "masked picture"}
+CORE = {"None", "True", "text", "nan", "-1", "10**400", "-10**5000", "0-d masked", "object",
+        "masked picture"}  # fmt: skip
 
 
 def damaged(kind: str) -> Iterator[tuple[str, Any]]:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import inspect
-import warnings
 from concurrent.futures import ThreadPoolExecutor
 from decimal import Decimal
 from fractions import Fraction
@@ -277,31 +276,6 @@ def test_dimensions_are_as_many_as_is_said(rng):
 
 
 # --- threads --------------------------------------------------------------------------------
-
-
-@pytest.mark.full
-def test_threads_share_a_backend(device):
-    """Four at once, on one device object and on NumPy, with colors that are clipped on the way."""
-
-    def made(backend, number):
-        rng = np.random.default_rng(number)
-        result = clmorph.morph(
-            rng.random((7, 6, 3)),
-            rng.random((5, 6, 4)),
-            n_frames=2,
-            path_space="lab",
-            backend=backend,
-        )
-        return [result.potentials.f, *result.frames]
-
-    before = list(warnings.filters)
-    for backend in (device, "numpy"):
-        alone = [made(backend, number) for number in range(4)]
-        with ThreadPoolExecutor(4) as threads:
-            together = list(threads.map(lambda number, to=backend: made(to, number), range(4)))
-        for ours, theirs in zip(alone, together, strict=True):
-            assert all(map(np.array_equal, ours, theirs))
-    assert warnings.filters == before
 
 
 def test_one_morph_is_rendered_by_many_threads():
