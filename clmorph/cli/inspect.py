@@ -18,8 +18,7 @@ def run_inspect(request: Request) -> None:
     for output in request.outputs:
         check_plotting(output)
     request.check_files()
-    pictures, maps, guide, _ = request.prepared([(0, 1)])
-    operations = request.open()
+    pictures, maps, guide, _, operations = request.prepared([(0, 1)])
     with request.stages() as stages, noted_warnings():
         # The printed statistics report convergence instead.
         warnings.simplefilter("ignore", ConvergenceWarning)

@@ -28,8 +28,8 @@ def run_mix(request: Request) -> None:
     request.check_files()
     n_stops = 0 if stops is None else len(stops)
     check_outputs(places, n_stops, request.options)
-    pictures, _, guide, preset = request.prepared(pairs_of(count))
-    chosen, operations = guide.options, request.open()
+    pictures, _, guide, preset, operations = request.prepared(pairs_of(count))
+    chosen = guide.options
     with request.stages() as stages:
         mixes = mixes_of(
             pictures, weights, chosen, grid=grid, preset=None, draft=False, backend=operations,

@@ -111,8 +111,8 @@ def run_morph(request: Request, line: Collection[str]) -> None:
         raise InputError(
             f"--{name} is for two pictures, but {count} are given: morph them two at a time"
         )
-    whole, maps, guide, preset = request.prepared(list(itertools.pairwise(range(count))))
-    operations = request.open()
+    pairs = list(itertools.pairwise(range(count)))
+    whole, maps, guide, preset, operations = request.prepared(pairs)
     options = _capped(guide.options, operations) if request.capped else guide.options
     run = _Run(request, whole, guide, options, maps, operations)
     say(run.memory())

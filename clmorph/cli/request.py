@@ -43,6 +43,7 @@ class Prepared(NamedTuple):
     maps: Maps
     guide: Guided  #: the options, and the landmarks of each pair
     preset: str | None  #: the preset that the pictures have chosen
+    operations: Operations
 
 
 @dataclass(frozen=True)
@@ -143,6 +144,8 @@ class Request:
     def prepared(self, pairs: Sequence[tuple[int, int]]) -> Prepared:
         """Read the files, and choose and tell the options, labels and landmarks of pairs."""
         pictures, options, preset = self.read(), self.options, None
+        # A mistake in its name is one line, before anything is told of the pictures.
+        operations = self.open()
         if self.options_of is not None:
             preset = recognized(pictures)
             options = self.options_of(preset)
@@ -157,7 +160,7 @@ class Request:
         for what, found in (("labels", text), ("landmarks", guide.found)):
             if found:
                 say(f"{what}: {found}")
-        return Prepared(pictures, maps, guide, preset)
+        return Prepared(pictures, maps, guide, preset, operations)
 
     def note_thin(self, pictures: Sequence[Any], options: Any) -> None:
         """Print a note about each picture whose shorter side is nearly lost when it is reduced."""

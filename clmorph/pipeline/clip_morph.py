@@ -180,7 +180,8 @@ class Frames:
             self.still = as_samples(given, name, max_pixels=max_pixels)
             self.size = self.still.shape[1], self.still.shape[0]
             return
-        if not isinstance(given, Iterable) or isinstance(given, str):
+        scalar = isinstance(given, str) or (isinstance(given, np.ndarray) and given.ndim == 0)
+        if scalar or not isinstance(given, Iterable):
             raise InputError(
                 f"{name}={shown(given)}: expected a picture, the path of a clip, or its frames"
             )

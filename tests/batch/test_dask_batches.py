@@ -487,7 +487,7 @@ def test_a_scheduler_that_dies(pictures, tmp_path):
     )  # fmt: skip
     processes = [scheduler]
     try:
-        while not told.exists():
+        while not (told.exists() and told.read_text()):
             assert scheduler.poll() is None
             time.sleep(0.05)
         worker = [*dask, "worker", "--scheduler-file", str(told), "--nthreads", "1", "--no-nanny"]

@@ -262,7 +262,7 @@ def test_progress_is_shown_to_people_only(pictures):
         assert words in shown
     assert re.search(r"residual \de-0\d of 1e-03", shown)
     quiet = run(*arguments)
-    preset, device, memory = quiet.stderr.splitlines()
+    device, preset, memory = quiet.stderr.splitlines()
     assert preset.startswith("preset: ")
     assert device.startswith("device: ")
     assert re.fullmatch(r"memory: about [\d.]+ [MG]B", memory)

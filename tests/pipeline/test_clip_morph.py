@@ -283,6 +283,7 @@ def test_mistakes_in_python():
         (lambda: clmorph.morph_clip(still, still), "are stills"),
         (lambda: clmorph.morph_clip([], still), "no frames"),
         (lambda: clmorph.morph_clip(7, still), "expected a picture, the path of a clip"),
+        (lambda: clmorph.morph_clip(np.ma.masked, still), "source=masked: expected a picture"),
         (lambda: clmorph.morph_clip(clip, still, every=0), "every"),
         (lambda: clmorph.morph_clip(clip, still, fps=-1), "fps"),
         (lambda: clmorph.morph_clip(clip, still, detail="cells"), "detail='cells'"),

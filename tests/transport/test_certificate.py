@@ -225,7 +225,7 @@ def test_points_as_far_apart_as_the_device_allows(wide_device, rng, reach, layou
 def test_balanced_transport_of_any_mass(any_backend, mass, multiscale, seed):
     """As many iterations as for a mass of one, and the residual that is told."""
     rng = np.random.default_rng(seed)
-    n, m, dimension = *rng.integers(20, 200, 2), rng.integers(1, 6)
+    n, m, dimension = *rng.integers(20, 300, 2), rng.integers(1, 6)
     a, b = rng.random(n), rng.random(m)
     pair = (a / a.sum(), rng.random((n, dimension))), (b / b.sum(), rng.random((m, dimension)))
     plain = sinkhorn(*pair, 0.02, None, backend=any_backend, multiscale=multiscale)
