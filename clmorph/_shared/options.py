@@ -145,13 +145,17 @@ class Options:
         return type(self)(**self.layered((self.as_dict(), given)))
 
     def chosen(self, names: Iterable[str], given: Mapping[str, Any]) -> Self:
-        """Replace options that are among the names; until 1.0, `replace` does it."""
-        warn("chosen() goes with clmorph 1.0: use replace()", DeprecationWarning, stacklevel=2)
+        """Replace options that are among the names. Deprecated: `replace` takes its place."""
+        warn(
+            "chosen() will be removed in clmorph 1.0: use replace()",
+            DeprecationWarning,
+            stacklevel=2,
+        )
         return self.replace(**among(given, names))
 
     def check_together(self) -> None:
-        """Do nothing, until 1.0: options are checked when they are made."""
-        warn("check_together() goes with clmorph 1.0: options are checked when they are made",
+        """Do nothing. Deprecated: options are checked when they are made."""
+        warn("clmorph 1.0 will remove check_together(): options are checked when they are made",
              DeprecationWarning, stacklevel=2)  # fmt: skip
 
     @classmethod

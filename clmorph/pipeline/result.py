@@ -213,8 +213,8 @@ class Morph(Film):
 
     @property
     def halfway(self) -> None:
-        """None: until 0.2 the motion of carried detail, which ``detail="layers"`` replaced."""
-        warn("Morph.halfway is None and goes with clmorph 1.0: see Morph.layers",
+        """None. Deprecated: it was the motion of carried detail, which `layers` has replaced."""
+        warn("clmorph 1.0 will remove Morph.halfway, which is None: use Morph.layers",
              DeprecationWarning, stacklevel=2)  # fmt: skip
 
     @property

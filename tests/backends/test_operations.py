@@ -1,5 +1,6 @@
 """Each operation on each device against its NumPy version."""
 
+import inspect
 import itertools
 from dataclasses import dataclass
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from clouds import PAIRS
 
-from clmorph.backends.interface import KERNEL_ERROR
+from clmorph.backends.interface import KERNEL_ERROR, Operations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import MOMENT_CHUNK
 from clmorph.backends.opencl.build.variants import all_variants
@@ -655,3 +656,21 @@ def test_a_canvas_of_4096_pixels_a_side(device):
             assert np.abs(section - small).max() <= 10 * (
                 KERNEL_ERROR + np.exp(-0.5 * (7 / 1.5) ** 2)
             )
+
+
+def test_twins_have_the_protocols_signatures(device):
+    names = [name for name in vars(Operations) if not name.startswith("_")]
+    operations = [name for name in names if callable(getattr(Operations, name, None))]
+    assert operations
+    for name in operations:
+        wanted = list(inspect.signature(getattr(Operations, name)).parameters)[1:]
+        for backend in (REFERENCE, device):
+            assert list(inspect.signature(getattr(backend, name)).parameters) == wanted, name
+
+
+def test_softmin_of_one_pair_is_its_cost(variant):
+    x, y = np.array([[0.1, 0.2, 0.3, 0.4, 0.5]]), np.array([[0.9, 0.1, 0.7, 0.2, 0.6]])
+    cost = 0.5 * np.sum((x - y) ** 2)
+    one = np.ones(1)
+    got = variant.softmin(variant.upload(x, one), variant.upload(y, one), np.array([0.07]), 0.0025)
+    assert got[0] == pytest.approx(cost - 0.07, abs=1e-7)

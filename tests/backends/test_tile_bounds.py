@@ -145,3 +145,43 @@ def test_lengths_of_launches_change_no_list(device, rng, monkeypatch):
         assert np.array_equal(near.skipped, found[0].skipped)
     assert [len(near.pairs.masks) for near in found[:2]] == [1, 1]
     assert len(found[2].pairs.masks) > 1
+
+
+@pytest.mark.parametrize("wide_from", [1, 1 << 62], ids=["groups first", "tiles alone"])
+@pytest.mark.parametrize("blur", [0.5, 0.1, 0.02])
+def test_candidates_leave_out_no_more_than_they_report(device, rng, monkeypatch, wide_from, blur):
+    """Over any row, the shares of tiles that are not candidates are within the bound."""
+    monkeypatch.setattr(candidates, "WIDE_FROM", wide_from)
+    monkeypatch.setattr(tile_bounds, "LAUNCH_BOUNDS", 2000)
+    y, x = np.meshgrid(*[np.linspace(0, 1, 70)] * 2, indexing="ij")
+    colors = np.stack((x * y, np.sin(5 * x + y), 0.1 * rng.random(x.shape)), axis=2)
+    points = np.dstack((x, y, colors)).reshape(-1, 5)
+    pair = [(points[: 4900 - drop], np.full(4900 - drop, 1 / 4900)) for drop in (3, 1000)]
+    rows, columns = (device.upload(*each) for each in pair)
+    k, tile, budget = LOG2_E / blur**2, device.constants.tile, 1e-9
+    g = np.zeros(len(columns))
+    exact = NumPyOperations()
+    softmin = exact.softmin(*(exact.upload(*each) for each in pair), g, blur**2)
+    guess, values = -k * softmin[rows.order], columns.log2_weights
+    kernel = device.plan_row_reductions.tile_bounds
+    x, y = (each[cloud.order] for (each, _), cloud in zip(pair, (rows, columns), strict=True))
+    seen, kept = 0, 0
+    for part, pairs, unseen in candidates.candidates(
+        kernel, rows, columns, row_bounds(rows, guess, k), guess, values, k, budget
+    ):
+        assert part.start == seen
+        seen = part.stop
+        assert unseen.max() <= budget
+        for row_tile in part:
+            own = slice(row_tile * tile, (row_tile + 1) * tile)
+            listed = pairs.tiles[pairs.starts[row_tile] : pairs.starts[row_tile + 1]]
+            assert np.all(np.diff(listed.astype(int)) > 0)
+            assert listed.size
+            kept += listed.size
+            left = ~np.isin(np.arange(len(columns)) // tile, listed)
+            cost = 0.5 * ((x[own, None] - y[left]) ** 2).sum(axis=2)
+            share = np.exp2(values[left] - k * cost - guess[own, None]).sum(axis=1)
+            assert share.max() <= unseen[row_tile - part.start]
+    assert seen == len(rows.centers)
+    if blur == 0.02:
+        assert kept < 0.8 * len(rows.centers) * len(columns.centers)

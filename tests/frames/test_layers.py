@@ -168,6 +168,26 @@ class TestTurns:
         # Most places show one picture alone.
         assert all(np.mean((w > 0.02) & (w < 0.98)) < 0.3 for w in seen)
 
+    def test_the_order_of_thin_lines_does_not_follow_their_edges(self):
+        """A region that ended at the edge of a line would cut off its side."""
+        stage = Canvas((96, 96), (95.0, 95.0))
+        halves = [np.ones((96, 96, 3)) for _ in range(2)]
+        for across, down in ((20, 60), (50, 30), (70, 80)):
+            halves[0][across : across + 3] = 0
+            halves[1][:, down : down + 3] = 0
+        times = [
+            switching_times(
+                halves,
+                np.array([1.0, 0, 0]),
+                stage,
+                NumPyOperations(),
+                thin=thin * np.ones((96, 96)),
+            )
+            for thin in (0, 1)
+        ]
+        steepest = [np.abs(np.diff(each, axis=0)).max() for each in times]
+        assert steepest[1] < 0.5 * steepest[0]
+
 
 def test_figures_keep_their_colors_beyond_the_ground(device):
     """A logo on white becomes one on black: no rim of the other ground is seen."""

@@ -164,3 +164,26 @@ def test_a_map_of_mass_beside_none(device):
     result = morph(red, blue, n_frames=2, weights=(np.ones((12, 12)), None), backend=device)
     assert result.source.mass == pytest.approx(result.target.mass)
     assert result.frame(0.25)[..., 2].mean() == pytest.approx(0.25, abs=0.01)
+
+
+def test_numpy_and_devices_agree(device, rng):
+    images = _small(rng, (12, 10)), _small(rng, (8, 16))
+    ours = morph(*images, n_frames=3, backend=device)
+    theirs = morph(*images, n_frames=3, backend="numpy")
+    assert ours.potentials.n_iter == theirs.potentials.n_iter
+    for a, b in zip(ours.frames, theirs.frames, strict=True):
+        assert np.abs(a - b).max() < 1e-3
+
+
+def test_the_same_bytes_twice(device):
+    images = photographs((32, 32))
+    first, second = (morph(*images, n_frames=3, backend=device) for _ in range(2))
+    assert np.array_equal(first.potentials.f, second.potentials.f)
+    for a, b in zip(first.frames, second.frames, strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_constant_and_equal_images(device):
+    gray = np.full((8, 8, 3), 0.5)
+    for frame in morph(gray, gray, n_frames=3, backend=device).frames:
+        assert np.abs(frame - 0.5).max() < 1e-5

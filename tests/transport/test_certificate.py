@@ -294,3 +294,27 @@ def test_the_repr_says_how_much_is_transported():
     assert repr(more).endswith(" of 1 (source) and 3 (target)>")
     assert repr(more.swapped()).endswith(" of 3 (source) and 1 (target)>")
     assert repr(plain.reference.sinkhorn(near, far, 0.1, 0.3)).endswith(" of 1>")
+
+
+def _optimum(pair, blur, reach):
+    """An interval of the optimum that is far narrower than any device's rounding."""
+    best = sinkhorn(*pair, blur, reach, 1e-10, 5000, "numpy")
+    assert best.gap <= 1e-10 * abs(best.primal) + 1e-13
+    return best
+
+
+@pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
+@pytest.mark.parametrize("dimension", range(1, 12))
+def test_bounds_include_the_rounding_of_the_device(device, rng, dimension):
+    """Without it a dual value is above the optimum in half of all problems."""
+    for blur, reach in ((0.03, 0.3), (0.2, 0.3), (1.0, 2.0), (0.2, (0.5, 2.0))):
+        n, m = rng.integers(1, 80, 2)
+        pair = clouds(rng, n + 1, m + 1, dimension)
+        best = _optimum(pair, blur, reach)
+        got = sinkhorn(*pair, blur, reach, 1e-6, 5000, device)
+        assert got.dual <= best.primal
+        assert best.dual <= got.primal
+        exact = certificate(
+            *clmorph.measures.points.as_pair(*pair), got.f, got.g, regularization(blur, reach)
+        )
+        assert got.gap <= exact.gap + 2e-6 * got.primal

@@ -185,3 +185,9 @@ def test_a_plan_without_mass_draws_nothing(device):
     plan = sample_plan(source, target, potentials, 2, backend=device)
     assert len(plan) == 0
     assert plan.total_mass == transport_plan(source, target, potentials, backend=device).total_mass
+
+
+def test_many_draws_are_the_plan(backend, pair):
+    source, target, potentials, dense = pair
+    plan = sample_plan(source, target, potentials, 2000, backend=backend)
+    assert np.abs(plan.to_scipy().toarray() - dense).sum() < 0.02 * dense.sum()

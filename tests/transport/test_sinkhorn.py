@@ -60,6 +60,19 @@ def test_measures_must_fit_together():
 
 
 @pytest.mark.parametrize("corrected", [False, True])
+def dual(problem_data, f, g, epsilon, rho):
+    """D(f, g), dense, as it is written."""
+    source, target, cost = problem_data
+    a, b = source.weights, target.weights
+    value = -epsilon * a @ (np.exp((f[:, None] + g - cost) / epsilon) - 1) @ b
+    for potential, weights, strength in ((f, a, rho[0]), (g, b, rho[1])):
+        if np.isinf(strength):
+            value += weights @ potential
+        else:
+            value += strength * weights @ (1 - np.exp(-potential / strength))
+    return value
+
+
 @pytest.mark.parametrize("rho", [(0.2, 0.2), (0.1, 0.7), (np.inf, 0.3), (0.3, np.inf),
                                  (np.inf, np.inf)])  # fmt: skip
 def test_masses_after_half_steps_have_closed_forms(rng, rho, corrected):
@@ -142,3 +155,26 @@ def test_masses_that_differ_at_a_large_reach(any_backend):
     potentials = sinkhorn(source, target, 0.05, 1e3, backend=any_backend)
     plan = reference.transport_plan(source, target, potentials)
     assert plan.sum() == pytest.approx(5**0.5, rel=2e-3)
+
+
+@pytest.mark.parametrize("rho", [(0.2, 0.2), (0.1, 0.7), (np.inf, 0.3), (0.3, np.inf)])
+def test_half_steps_maximize_the_dual_over_translations_too(rng, rho):
+    source, target = random_pair(rng, 20, 25)
+    epsilon = 0.05
+    problem = Problem.between(clmorph.get_backend("numpy"), source, target, rho)
+    data = source, target, reference.transport.cost_matrix(source, target)
+
+    def best(f, g, arguments):
+        """Dual at the half-step and beside it, along translations of the old potential."""
+        at = dual(data, f, g, epsilon, rho)
+        for step in (1e-3, 1e-2, 0.1):
+            for s in (step, -step):
+                assert dual(data, *arguments(s), epsilon, rho) < at
+
+    g = 0.1 * rng.random(25)
+    f, g, t_rows, _ = problem.half_step(0, g, problem.softmin(0, g, epsilon, True), epsilon)
+    source_damping, target_damping = problem.damping(epsilon)
+    assert np.allclose(t_rows, problem.softmin(0, g, epsilon, True), rtol=0, atol=1e-12)
+    best(f, g, lambda s: (source_damping * (t_rows - s), g + s))
+    g, f, t_columns, _ = problem.half_step(1, f, problem.softmin(1, f, epsilon, True), epsilon)
+    best(f, g, lambda s: (f + s, target_damping * (t_columns - s)))
