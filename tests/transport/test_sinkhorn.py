@@ -60,19 +60,6 @@ def test_measures_must_fit_together():
 
 
 @pytest.mark.parametrize("corrected", [False, True])
-def dual(problem_data, f, g, epsilon, rho):
-    """D(f, g), dense, as it is written."""
-    source, target, cost = problem_data
-    a, b = source.weights, target.weights
-    value = -epsilon * a @ (np.exp((f[:, None] + g - cost) / epsilon) - 1) @ b
-    for potential, weights, strength in ((f, a, rho[0]), (g, b, rho[1])):
-        if np.isinf(strength):
-            value += weights @ potential
-        else:
-            value += strength * weights @ (1 - np.exp(-potential / strength))
-    return value
-
-
 @pytest.mark.parametrize("rho", [(0.2, 0.2), (0.1, 0.7), (np.inf, 0.3), (0.3, np.inf),
                                  (np.inf, np.inf)])  # fmt: skip
 def test_masses_after_half_steps_have_closed_forms(rng, rho, corrected):
@@ -155,6 +142,19 @@ def test_masses_that_differ_at_a_large_reach(any_backend):
     potentials = sinkhorn(source, target, 0.05, 1e3, backend=any_backend)
     plan = reference.transport_plan(source, target, potentials)
     assert plan.sum() == pytest.approx(5**0.5, rel=2e-3)
+
+
+def dual(problem_data, f, g, epsilon, rho):
+    """D(f, g), dense, as it is written."""
+    source, target, cost = problem_data
+    a, b = source.weights, target.weights
+    value = -epsilon * a @ (np.exp((f[:, None] + g - cost) / epsilon) - 1) @ b
+    for potential, weights, strength in ((f, a, rho[0]), (g, b, rho[1])):
+        if np.isinf(strength):
+            value += weights @ potential
+        else:
+            value += strength * weights @ (1 - np.exp(-potential / strength))
+    return value
 
 
 @pytest.mark.parametrize("rho", [(0.2, 0.2), (0.1, 0.7), (np.inf, 0.3), (0.3, np.inf)])
