@@ -54,10 +54,6 @@ ELSEWHERE = {
     r"lint-imports": (".ci/run", "bin/lint-imports"),
     r"mypy": (".ci/run", "bin/mypy"),
     r"pytest": (".ci/run", "readme_command 2"),
-    r"python tools/golden_record\.py (make|compare) .*": (
-        "tests/project/test_golden_record.py",
-        '"compare"',
-    ),
     r"python tools/fuzz\.py (images|configs|api) --count \d+": (
         "tests/project/test_fuzz.py",
         "fuzz.py",
