@@ -175,7 +175,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     Of a grid so many combinations are left as its longest axis has values, and each value of every
     axis is among them; of tests in turns, and on devices but the first one, every third of these.
     With --full all combinations are left, and each combination of a test in turns, or of one of
-    operations in one build, is for one device beside the default's share. A device that repeats
+    operations, is for one device in one build beside the default's share. A device that repeats
     another one then tests operations, with a share of each grid.
     """
     if not TESTED:
@@ -265,27 +265,27 @@ def _is_in_turns(item: pytest.Item) -> bool:
 
 
 def _takes_turns(item: pytest.Item) -> bool:
-    """Whether with --full one device suffices for each combination, of operations in each build."""
+    """Whether with --full one device and build suffices for each combination of parameters."""
     return _is_in_turns(item) or "variant" in getattr(getattr(item, "callspec", None), "params", {})
 
 
 def _one_device_each(items: list[pytest.Item]) -> list[pytest.Item]:
     """Return one item of a test function for each combination of parameters, and those of NumPy.
 
-    Devices take turns, and tests marked as small are for all of them.
+    Devices and builds take turns, and tests marked as small are for all of them.
     """
     combinations: dict[tuple[int, ...], list[pytest.Item]] = defaultdict(list)
     for item in items:
         params = getattr(getattr(item, "callspec", None), "params", {})
         others = [id(value) for name, value in params.items() if name not in OF_DEVICES]
-        _, swapped = params.get("variant", (None, False))
-        combinations[(swapped, *others)].append(item)
-    turn = crc32(items[0].nodeid.partition("[")[0].encode())
+        combinations[tuple(others)].append(item)
     chosen = []
     for place, own in enumerate(combinations.values()):
         of_devices = [item for item in own if _device_of(item) is not None]
         small = [item for item in of_devices if item.get_closest_marker("small") is not None]
-        one = [of_devices[(place + turn) % len(of_devices)]] if of_devices and not small else small
+        # A hash, because turns of two would go along with axes of two values.
+        turn = crc32(f"{items[0].originalname} {place}".encode())
+        one = [of_devices[turn % len(of_devices)]] if of_devices and not small else small
         chosen += [item for item in own if item in one or item not in of_devices]
     return chosen
 

@@ -213,12 +213,12 @@ def exercise(operations: Operations, tile: int = 64) -> list[np.ndarray]:
         # Where a field folds, rounding decides which way a path goes.
         results.append(np.isfinite(paths).astype(float) if name == "folding" else paths)
     results += [scene.draw(operations) for scene in scenes((11, 9)).values()]
-    # Spacings, in the last column, are such that some widths are less than the base's, some more.
-    table = rng.random((40, 6)) * [1, 1, 1, 1, 1, 0.15]
+    # Spacings, in the last column, are such that some widths are the base's, some less, some more.
+    table = rng.random((40, 6)) * [1, 1, 1, 1, 1, 0.06] + [0, 0, 0, 0, 0, 0.05]
     links = rng.integers(0, 40, (60, 2)).astype(np.uint32)
     moving = operations.upload_particles(table, links, rng.random((60, 2)))
     splats = operations.advect(moving, 0.3, (18.0, 9.0), (9.0, 4.5))
-    own = operations.adapt_widths(splats, 2 * rng.random(CANVAS), 0.7)
+    own = operations.adapt_widths(splats, 0.5 + rng.random(CANVAS), 0.7)
     results.append(operations.width_levels(own).astype(float))
     results += operations.deposit(splats, CANVAS)
     resting = operations.upload_splats(

@@ -89,9 +89,7 @@ def test_a_planted_fault_is_found(empty, fault):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    "built", [v for d in (1, 3) for v in all_variants(d) if v.dimension], ids=str
-)
+@pytest.mark.parametrize("built", [v for v in all_variants(3) if v.dimension], ids=str)
 def test_faults_are_found_in_every_variant(empty, built):
     for fault in FAULTS:
         assert fault.file != built.file or failure_of(fault, built), fault
@@ -161,6 +159,7 @@ QUIRKY += [
 ]
 
 
+@pytest.mark.in_turns
 @pytest.mark.parametrize(("quirk", "of_card"), QUIRKY)
 @pytest.mark.parametrize("built", VARIANTS, ids=str)
 def test_every_variant_is_right_with_each_quirk(device, quirk, of_card, built):

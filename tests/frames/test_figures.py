@@ -167,7 +167,8 @@ class TestLogos:
         for t in (0.0, 0.25, 0.5, 0.75, 0.875, 1.0):
             ink = morph.frame(t)[..., 0] < 0.5
             rims.append(sum(int(np.diff(ink, axis=axis).sum()) for axis in (0, 1)))
-            assert label(ink)[1] <= 3
+            pieces = np.bincount(label(ink)[0].ravel())[1:]
+            assert (pieces > 4).sum() <= 3  # rounding decides on specks of a pixel or two
         assert max(rims[1:-1]) < 1.02 * max(rims[0], rims[-1])  # 1.06 times as long with tears
 
     @pytest.mark.full
