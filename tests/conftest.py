@@ -4,7 +4,7 @@
 a share of each grid of parameters, and a third of it on the others; and a part of what is written
 over them, on one device or another.
 ``pytest --full`` runs whole grids, and tests operations also in the build of the other kind of
-device: in both builds each place of a grid is on one device or another, and the share of the
+device: each place of a grid is on one device or another in one of both builds, and the share of the
 default on each. A device that repeats another one has that share of operations alone.
 ``--device NAME`` tests one device. Beside other devices a slow one runs some of the tests of
 operations, and the tests marked as small, also with ``--full``. Without any usable device the tests

@@ -151,21 +151,9 @@ def test_every_variant_is_right(variant, built):
     assert first_failure(variant, built) == ""
 
 
-ON_CARDS = "small_groups", "small_local_memory", "inexact_exp2"
-#: Quirks, of the device's own build and of a graphics card's.
-QUIRKY = [pytest.param(quirk, False, id=quirk) for quirk in QUIRKS]
-QUIRKY += [
-    pytest.param(quirk, True, id=f"{quirk} on a card", marks=pytest.mark.full) for quirk in ON_CARDS
-]
-
-
-@pytest.mark.in_turns
-@pytest.mark.parametrize(("quirk", "of_card"), QUIRKY)
-@pytest.mark.parametrize("built", VARIANTS, ids=str)
-def test_every_variant_is_right_with_each_quirk(device, quirk, of_card, built):
-    """Where a quirk changes the program or its launches."""
+def check_with(quirk, plain, device, built):
+    """Verify a variant where a quirk changes its program or its launches."""
     own = find_quirks(device.device)
-    plain = gpu_constants(256) if of_card else choose_constants(device.device, frozenset())
     without, constants = (apply_quirks(plain, quirks) for quirks in (own - {quirk}, own | {quirk}))
     if not built.suits(constants):
         pytest.skip("there the host iterates")
@@ -175,6 +163,20 @@ def test_every_variant_is_right_with_each_quirk(device, quirk, of_card, built):
         pytest.skip("the quirk changes nothing of this program")
     forced = OpenCLOperations(device.device, constants, verify=False)
     assert first_failure(forced, built) == ""
+
+
+@pytest.mark.parametrize("quirk", QUIRKS)
+@pytest.mark.parametrize("built", VARIANTS, ids=str)
+def test_every_variant_is_right_with_each_quirk(device, quirk, built):
+    check_with(quirk, choose_constants(device.device, frozenset()), device, built)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("quirk", ["small_groups", "small_local_memory", "inexact_exp2"])
+@pytest.mark.parametrize("built", {each.file: each for each in VARIANTS}.values(), ids=str)
+def test_every_file_is_right_with_each_quirk_of_a_card(device, quirk, built):
+    """In its last variant, in the build of a graphics card."""
+    check_with(quirk, gpu_constants(256), device, built)
 
 
 # --- verdicts on programs -------------------------------------------------------------------
