@@ -51,17 +51,21 @@ STEP = 3
 #: Modules that take longest with --full, the longest first. Processes that share the tests take a
 #: module at a time and in this order, so that none starts on a long one when the others are done.
 LONGEST = (
-    "backends/test_operations.py",
     "backends/test_verification.py",
-    "pipeline/test_morph.py",
-    "cli/test_check.py",
-    "frames/test_widths.py",
-    "project/test_pages.py",
-    "backends/test_tuning.py",
-    "backends/test_cross_compile.py",
-    "backends/test_device.py",
-    "frames/test_layers.py",
+    "backends/test_operations.py",
+    "backends/test_small.py",
+    "backends/test_many_dimensions.py",
     "analysis/test_inspection.py",
+    "project/test_pages.py",
+    "output/test_export.py",
+    "project/test_cross_check.py",
+    "transport/test_certificate.py",
+    "batch/test_dask_batches.py",
+    "transport/test_gradient.py",
+    "transport/test_batch_fuzz.py",
+    "cli/test_check.py",
+    "backends/test_device.py",
+    "frames/test_figures.py",
 )
 
 
