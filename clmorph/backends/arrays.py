@@ -145,12 +145,11 @@ def _from_objects(name: str, array: AnyArray, value: Any, expected: str) -> AnyA
     for index, entry in np.ndenumerate(array):
         number = float(entry) if isinstance(entry, bool | np.bool_) else as_float(entry)
         if number is None:
-            what = printable(type(entry).__name__)
-            raise InputError(f"{name} holds a {what}: expected {expected}")
+            raise InputError(f"{name} holds a {type(entry).__name__}: expected {expected}")
         numbers[index] = number
     return numbers
 
 
 def _no_array(name: str, value: Any, expected: str) -> InputError:
-    what = printable(type(value).__name__)
+    what = type(value).__name__
     return InputError(f"{name} is a {what}, which is not an array of numbers: expected {expected}")

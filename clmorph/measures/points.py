@@ -161,15 +161,15 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
         made = _weighted_points(name, value.weights, value.points, value.offsets)
         ours = (value.weights, value.points, value.offsets)
         return value if all(map(_is_plain, ours)) else made
-    if getattr(value, "shape", None) and not isinstance(value, (tuple, list)):
-        points = as_floats(f"{name}: its points", value, "points (N, D)")
-        if points.ndim <= 2 and len(points):
-            return _weighted_points(name, np.full(len(points), 1.0 / len(points)), points)
+    shape = getattr(value, "shape", None)
+    if isinstance(value, (tuple, list)):
+        shape = None
+    elif isinstance(shape, tuple) and len(shape) in (1, 2) and shape[0]:
+        return _weighted_points(name, _ALIKE, value)
     if not isinstance(value, (tuple, list)) or len(value) != 2:
-        shape = getattr(value, "shape", None)
         of = f" of shape {shape}" if isinstance(shape, tuple) else ""
         raise InputError(
-            f"{name} is a {_kind(value)}{printable(of)}: expected a Measure (clmorph.lift(image) "
+            f"{name} is a {type(value).__name__}{of}: expected a Measure (clmorph.lift(image) "
             "makes one), a pair (weights (N,), points (N, D)), or an array of points (N, D)"
         )
     return _weighted_points(name, *value)
@@ -179,15 +179,11 @@ def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Meas
     """Return a measure that must be a lifted image; `why` and `instead` explain it in errors."""
     if not isinstance(value, Measure):
         raise InputError(
-            f"{name} is a {_kind(value)}: expected a Measure, as {why}; make one with "
+            f"{name} is a {type(value).__name__}: expected a Measure, as {why}; make one with "
             f"clmorph.lift(image){instead}"
         )
     check_measure(name, value)
     return value
-
-
-def _kind(value: Any) -> str:
-    return printable(type(value).__name__)
 
 
 def _is_plain(array: Any) -> bool:
@@ -195,11 +191,22 @@ def _is_plain(array: Any) -> bool:
     return array is None or (type(array) is np.ndarray and array.dtype == np.float64)
 
 
+#: In place of weights: 1 / N for each point.
+_ALIKE = object()
+
+
 def _weighted_points(name: str, weights: Any, points: Any, offsets: Any = None) -> WeightedPoints:
     """Check arrays and return them as weighted points."""
-    expected = "weights (N,) and points (N, D), in this order"
-    weights = as_floats(f"{name}: its weights", weights, expected)
+    expected = "points (N, D)"
+    if weights is not _ALIKE:
+        expected = f"weights (N,) and {expected}, in this order"
+        weights = as_floats(f"{name}: its weights", weights, expected)
     points = as_floats(f"{name}: its points", points, expected)
+    if weights is _ALIKE:
+        weights = np.ones(points.shape[:1])
+        weights /= max(1, weights.size)
+    if offsets is not None:
+        offsets = as_floats(f"{name}: its offsets", offsets, "one cost for each point, (N,)")
     if points.ndim == 1:
         points = points[:, None]
     if weights.ndim != 1 or points.ndim != 2 or len(weights) != len(points) or not len(weights):
@@ -218,13 +225,13 @@ def _weighted_points(name: str, weights: Any, points: Any, offsets: Any = None) 
             "ones, and choose another unit for large ones"
         )
     check_masses(f"{name}: its weights", weights)
-    if offsets is not None:
-        offsets = as_floats(f"{name}: its offsets", offsets, "one cost for each point, (N,)")
-        if offsets.shape != weights.shape or not np.all(np.abs(offsets) <= MAX_COORDINATE**2):
-            raise InputError(
-                f"{name}: its offsets have shape {offsets.shape}: expected {weights.shape}, finite "
-                f"and within +-{MAX_COORDINATE**2:g}"
-            )
+    if offsets is not None and (
+        offsets.shape != weights.shape or not np.all(np.abs(offsets) <= MAX_COORDINATE**2)
+    ):
+        raise InputError(
+            f"{name}: its offsets have shape {offsets.shape}: expected {weights.shape}, finite "
+            f"and within +-{MAX_COORDINATE**2:g}"
+        )
     return WeightedPoints(points, weights, offsets)
 
 
@@ -238,8 +245,7 @@ def as_many(name: str, value: Any) -> list[Any]:
         return _unstacked(name, *value)
     foreign = isinstance(value, str | bytes | Mapping | Measure | WeightedPoints | Grid)
     if foreign or _is_array(value) or not isinstance(value, Iterable):
-        what = printable(type(value).__name__)
-        raise InputError(f"{name} is a {what}: expected {_EXPECTED}")
+        raise InputError(f"{name} is a {type(value).__name__}: expected {_EXPECTED}")
     try:
         return list(value)
     except Exception as error:

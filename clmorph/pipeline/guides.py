@@ -55,9 +55,10 @@ def guides(
     each: list[Landmarks] = []
     lines: list[str] = []
     room = _has_room(maps)
+    sides = [max(image.shape[:2]) for image in images]
     finder = Finder(images)
     for one, other in pairs:
-        landmarks, text = _found(finder, images, (one, other)) if room else ((), "")
+        landmarks, text = _found(finder, sides, (one, other)) if room else ((), "")
         each.append(landmarks)
         if text:
             which = f"pictures {one + 1} and {other + 1}: " if len(pairs) > 1 else ""
@@ -97,13 +98,13 @@ def _has_room(maps: Maps) -> bool:
     return max(counts, default=0) < MAX_LIFTED - PLAIN
 
 
-def _found(finder: Finder, images: Sequence[Picture], pair: tuple[int, int]) -> tuple[Any, str]:
-    """Return landmarks of two images, and what they are."""
+def _found(finder: Finder, sides: Sequence[int], pair: tuple[int, int]) -> tuple[Any, str]:
+    """Return landmarks of two images, whose longer sides are given, and what they are."""
     found = finder.common(*pair)
     if not found.text:
         return (), ""
-    sides = [max(images[number].shape[:2]) for number in pair]
-    kept = agreeing(found.starts / sides[0], found.ends / sides[1])
+    one, other = pair
+    kept = agreeing(found.starts / sides[one], found.ends / sides[other])
     starts, ends = (places[kept][:MAX_LANDMARKS] for places in (found.starts, found.ends))
     text = found.text.replace(f"{len(found.starts)} points", f"{len(starts)} points")
     marks = tuple(

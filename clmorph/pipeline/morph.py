@@ -144,13 +144,12 @@ def morph(
     True
     """
     images = as_images((image_a, image_b))
+    shapes = shapes_of(images)
     chosen = as_options(options, preset, given, images, draft=draft)
     maps = Maps(weights, color_metric, labels, features)
     maps, _ = labeled(images, maps)
     guide = guides(images, [(0, 1)], chosen, maps)
-    pair = ImagePair(
-        fitted(images, chosen, maps), guide.of(0), shapes_of(images), maps, guide.found
-    )
+    pair = ImagePair(fitted(images, chosen, maps), guide.of(0), shapes, maps, guide.found)
     return pair.morph(backend, check_progress(progress))
 
 

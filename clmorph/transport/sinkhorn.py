@@ -15,6 +15,7 @@ from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.records import LastPasses
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning
+from clmorph.measures.grid import are_grids
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.checks import (
@@ -146,7 +147,8 @@ def sinkhorn(
     verify = check_flag("verify", verify)
     report = check_progress(progress)
     pair = as_pair(source, target)
-    check_grid_options(pair, truncation, multiscale)
+    grids = are_grids(*pair)
+    check_grid_options(grids, truncation, multiscale)
     operations = for_one_solve(get_backend(backend))
     check_problem(*pair, given, operations, precision, tol)
     g = None

@@ -9,7 +9,7 @@ import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import DTypeLike, NDArray
 
-from clmorph._shared.printable import printable, reason_of
+from clmorph._shared.printable import reason_of
 from clmorph._shared.validation import shown
 from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
 from clmorph.backends.opencl.devices.quirks import has_float64, shares_host_memory
@@ -42,7 +42,7 @@ def read_in_place(name: str, value: Any, expected: str) -> NDArray[Any]:
     """Map an array of a host program, read-only, when the work enqueued on it has ended."""
     if not isinstance(value, cl_array.Array):
         raise InputError(
-            f"{name} is of pyopencl's type {printable(type(value).__name__)}: expected {expected}; "
+            f"{name} is of pyopencl's type {type(value).__name__}: expected {expected}; "
             "make a pyopencl.array.Array of it"
         )
     if value.queue is None:

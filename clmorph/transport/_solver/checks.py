@@ -62,11 +62,9 @@ def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
     return limit
 
 
-def check_grid_options(
-    pair: tuple[AnyMeasure, AnyMeasure], truncation: Any, multiscale: Any
-) -> None:
+def check_grid_options(grids: bool, truncation: Any, multiscale: Any) -> None:
     """Check that options are not those of sums over pairs, if both measures are grids."""
-    if are_grids(*pair) and (multiscale is True or not isinstance(truncation, str | None)):
+    if grids and (multiscale is True or not isinstance(truncation, str | None)):
         raise InputError(
             "between grids all cells are summed, an axis after the other: expected truncation and "
             "multiscale as they are by default"

@@ -1,12 +1,12 @@
 """One transport problem: its half-steps, residual and dual (paper, 2.1 and 3.1)."""
 
 import functools
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from clmorph._shared.boxes import boxes_of_runs
-from clmorph._shared.threads import in_order
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.records import ResidentIteration
@@ -351,7 +351,8 @@ def upload_both(operations: Operations, source: AnyMeasure, target: AnyMeasure) 
     if len(source) + len(target) < MANY_POINTS:
         clouds = list(map(upload, sides))
     else:
-        clouds = [cloud for _, cloud in in_order(upload, sides)]
+        with ThreadPoolExecutor(len(sides)) as pool:
+            clouds = list(pool.map(upload, sides))
     return clouds[0], clouds[-1]
 
 
