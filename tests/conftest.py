@@ -287,9 +287,12 @@ def _one_device_each(items: list[pytest.Item]) -> list[pytest.Item]:
     for place, own in enumerate(combinations.values()):
         of_devices = [item for item in own if _device_of(item) is not None]
         small = [item for item in of_devices if item.get_closest_marker("small") is not None]
-        # A hash, because turns of two would go along with axes of two values.
-        turn = crc32(f"{items[0].originalname} {place}".encode())
-        one = [of_devices[turn % len(of_devices)]] if of_devices and not small else small
+        one = small
+        if of_devices and not small:
+            # Each round begins elsewhere: else turns of two would go along with axes of two values.
+            number = len(of_devices)
+            begin = crc32(f"{items[0].originalname} {place // number}".encode())
+            one = [of_devices[(begin + place) % number]]
         chosen += [item for item in own if item in one or item not in of_devices]
     return chosen
 

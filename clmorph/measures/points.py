@@ -162,17 +162,18 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
         ours = (value.weights, value.points, value.offsets)
         return value if all(map(_is_plain, ours)) else made
     shape = getattr(value, "shape", None)
+    # Some libraries have a type of their own for shapes.
+    sides = tuple(shape) if isinstance(shape, Iterable) else None
     if isinstance(value, (tuple, list)):
-        shape = None
-    elif isinstance(shape, tuple) and len(shape) in (1, 2) and shape[0]:
+        if len(value) == 2:
+            return _weighted_points(name, *value)
+    elif sides and sides[0] and len(sides) <= 2:
         return _weighted_points(name, _ALIKE, value)
-    if not isinstance(value, (tuple, list)) or len(value) != 2:
-        of = f" of shape {shape}" if isinstance(shape, tuple) else ""
-        raise InputError(
-            f"{name} is a {type(value).__name__}{of}: expected a Measure (clmorph.lift(image) "
-            "makes one), a pair (weights (N,), points (N, D)), or an array of points (N, D)"
-        )
-    return _weighted_points(name, *value)
+    of = "" if sides is None else f" of shape {sides}"
+    raise InputError(
+        f"{name} is a {type(value).__name__}{of}: expected a Measure (clmorph.lift(image) "
+        "makes one), a pair (weights (N,), points (N, D)), or an array of points (N, D)"
+    )
 
 
 def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Measure:

@@ -5,6 +5,7 @@ from plain import lift
 from clmorph import InputError
 from clmorph.images.color import COLOR_SPACES, to_space
 from clmorph.measures.lift import pixel_positions
+from clmorph.measures.points import as_measure
 
 
 def test_square_images_span_the_unit_square():
@@ -109,3 +110,32 @@ def test_wrong_options(options):
 def test_more_points_than_any_backend_takes():
     with pytest.raises(InputError, match=r"clmorph\.fit"):
         lift(np.broadcast_to(np.uint8(0), (20000, 20000, 3)))
+
+
+@pytest.mark.parametrize("shape", [(5,), (5, 2)])
+def test_points_alone(rng, shape):
+    """Each has as much mass; shapes of foreign arrays may be of a type of their own."""
+    points = rng.random(shape)
+
+    class Foreign:
+        def __init__(self):
+            self.shape = list(points.shape)
+
+        def __array__(self, dtype=None, copy=None):
+            return points
+
+    for given in (points, Foreign()):
+        found = as_measure("source", given)
+        assert np.array_equal(found.points, points.reshape(5, -1))
+        assert np.array_equal(found.weights, np.full(5, 1 / 5))
+
+
+@pytest.mark.parametrize("given", [np.zeros((3, 4, 3)), np.zeros((0, 2)), np.float64(3), (1, 2, 3)])
+def test_no_points(given):
+    with pytest.raises(InputError, match=r"an array of points \(N, D\)"):
+        as_measure("source", given)
+
+
+def test_no_weights(rng):
+    with pytest.raises(InputError, match="its weights is a NoneType"):
+        as_measure("source", (None, rng.random((5, 2))))
