@@ -371,6 +371,7 @@ class TestMemory:
             clmorph.morph, first, second, n_frames=5, blur=blur, reach=0.3, color_weight=0.5,
             path_space="srgb", detail=detail, backend=device, **WHOLE, **way,
         )  # fmt: skip
+
         def traced():
             gc.collect()
             tracemalloc.start()

@@ -376,6 +376,16 @@ def test_resources_that_are_in_use_are_told_from_a_fault(one, monkeypatch, busy)
     assert verdict.lasting is not busy
 
 
+def test_an_update_while_a_process_runs_is_told(one, empty, monkeypatch):
+    """The check of a program then has another key than the process that asks for it."""
+    with monkeypatch.context() as patch:
+        fine = f"{trial.VERDICT} {json.dumps(asdict(WORKS))}"
+        checking(patch, empty, [LOADED, f"{BEGUN} verified/new {OTHER}", f'{ENDED} ""', fine])
+        with pytest.raises(DeviceError, match=r"was updated while this process ran; start it"):
+            made(one).verify(OTHER)
+    assert verdicts.load(key_of(one)) is None
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="kills as POSIX does")
 @pytest.mark.parametrize("signal", ["SIGINT", "SIGKILL"])
 def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):

@@ -96,11 +96,12 @@ class Programs:
         result = trial.run_probe(index, request=make_request(self._constants, [variant, *others]))
         if (found := verdicts.load(key)) is not None:
             return found
-        # Its check ended without a verdict that another check would repeat.
-        reason = result.reason or "its check ended without a verdict"
+        # Its check ended without a verdict that another check would repeat, or with another key.
+        reason = result.reason or "clmorph or the driver was updated while this process ran"
         if not result.timed_out:
             # A kill, a lack of memory: the next use checks it again.
-            raise DeviceError(f"{self._name()}: {variant} was not verified: {reason}; try again")
+            advice = "try again" if result.reason else "start it again"
+            raise DeviceError(f"{self._name()}: {variant} was not verified: {reason}; {advice}")
         return verdicts.save(key, verdicts.Verdict(reason, lasting=False))
 
     def _name(self) -> str:
