@@ -402,20 +402,17 @@ def found_anew() -> tuple[Device, ...]:
 @pytest.fixture
 def fresh_search() -> Iterator[None]:
     """Let what a test finds, and verdicts that it fakes, be forgotten before and after it."""
-    known = vars(verdicts)
-    kept = {name: known[name].copy() for name in ("_known", "_refused")}
+    kept = verdicts._known.copy()
 
     def forget() -> None:
         tried.cache_clear()
         find_devices.cache_clear()
-        for name in kept:
-            known[name].clear()
+        verdicts._known.clear()
 
     forget()
     yield
     forget()
-    for name, content in kept.items():
-        known[name].update(content)
+    verdicts._known.update(kept)
 
 
 @pytest.fixture

@@ -62,12 +62,14 @@ class Affine(NamedTuple):
     origin: tuple[float, float]
     step: tuple[float, float]
 
+    def axes(self, shape: tuple[int, int]) -> list[Float64]:
+        """Return where the rows, and the columns, of a grid of some shape stand."""
+        axes = zip(self.origin, self.step, shape, strict=True)
+        return [origin + step * np.arange(side, dtype=float) for origin, step, side in axes]
+
     def places(self, shape: tuple[int, int]) -> Float64:
         """Return where each point of a grid of some shape stands: (H, W, 2) array."""
-        rows, columns = (
-            origin + step * np.arange(side)
-            for origin, step, side in zip(self.origin, self.step, shape, strict=True)
-        )
+        rows, columns = self.axes(shape)
         return np.stack(np.broadcast_arrays(rows[:, None], columns), axis=-1)
 
 

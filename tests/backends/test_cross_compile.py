@@ -4,7 +4,6 @@ Nothing is run: clang checks OpenCL C 1.2 and generates code for 32 and 64 bits 
 """
 
 import functools
-import itertools
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from clmorph.backends.opencl.build.constants import (
     lanes_constants,
 )
 from clmorph.backends.opencl.build.program import build_options, source
-from clmorph.backends.opencl.build.variants import KERNELS, Variant, all_variants
+from clmorph.backends.opencl.build.variants import KERNELS, all_variants
 
 FOLDER = Path(cl_kernels.__file__).parent
 
@@ -50,23 +49,9 @@ WARNINGS = ["-Wall", "-Wextra", "-Werror", "-Wno-unused-parameter"]
 HEADER = ["-Xclang", "-finclude-default-header", "-Xclang", "-fdeclare-opencl-builtins"]
 
 
-#: Each file in each way in which it is built: plan rows and the log-sum-exp with precise exponents
-#: or not, over all tiles or listed ones; the log-sum-exp also with a bound.
-ROW_FILES = ("barycentric_projection.cl", "log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl")
+#: Each file in each way in which it is built, some of them also for points of many coordinates.
 VARIANTS = [
-    *(Variant(file) for file in KERNELS if file not in (*ROW_FILES, "near_field.cl")),
-    Variant("grid_log_sum_exp.cl", precise=True),
-    Variant("near_field.cl", 5, listed=True),
-    *(
-        Variant(file, 5, precise, listed, masked=listed and file == "plan_shares.cl")
-        for file, precise, listed in itertools.product(ROW_FILES, (False, True), (False, True))
-    ),
-    Variant("log_sum_exp.cl", 6, precise=True, bounded=1),
-    Variant("log_sum_exp.cl", 6, precise=True, listed=True, bounded=1),
-    *(
-        Variant("log_sum_exp.cl", 6, precise, True, bounded, masked=True)
-        for precise, bounded in ((False, 0), (True, 0), (True, 1), (True, 2))
-    ),
+    *all_variants(),
     *(variant for variant in all_variants(SLICED_FROM)[::3] if variant.dimension),
 ]
 

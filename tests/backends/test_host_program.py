@@ -454,11 +454,19 @@ def test_protocols(rng, wrapped, dtype):
 
 def test_protocols_are_taken_where_arrays_are(clouds, rng):
     expected = solved(clouds, "numpy")
+    picture = rng.random((5, 4, 3))
     for wrapped in (OnlyDLPack, OnlyInterface):
         given = [tuple(map(wrapped, cloud)) for cloud in clouds]
         assert np.array_equal(solved(given, "numpy").f, expected.f)
-        picture = rng.random((5, 4, 3))
         assert np.array_equal(clmorph.fit(wrapped(picture), 3), clmorph.fit(picture, 3))
+
+
+@pytest.mark.parametrize(("library", "made"), [("torch", "from_numpy"), ("jax.numpy", "asarray")])
+def test_arrays_of_other_libraries(clouds, library, made):
+    make = getattr(pytest.importorskip(library), made)
+    rounded = [tuple(each.astype(np.float32) for each in cloud) for cloud in clouds]
+    given = [tuple(map(make, cloud)) for cloud in rounded]
+    assert np.array_equal(solved(given, "numpy").f, solved(rounded, "numpy").f)
 
 
 def test_dlpack_on_a_device_is_refused():
@@ -482,19 +490,6 @@ def test_dlpack_that_fails_is_refused():
         as_array("points", Odd(np.zeros(3)))
     with pytest.raises(InputError, match="dtype complex128"):
         as_array("points", OnlyDLPack(np.zeros(3, complex)))
-
-
-def test_tensors_of_torch(clouds):
-    torch = pytest.importorskip("torch")
-    given = [tuple(map(torch.from_numpy, cloud)) for cloud in clouds]
-    assert np.array_equal(solved(given, "numpy").f, solved(clouds, "numpy").f)
-
-
-def test_arrays_of_jax(clouds):
-    jax = pytest.importorskip("jax")
-    given = [tuple(jax.numpy.asarray(each, "float32") for each in cloud) for cloud in clouds]
-    rounded = [tuple(each.astype(np.float32) for each in cloud) for cloud in clouds]
-    assert np.array_equal(solved(given, "numpy").f, solved(rounded, "numpy").f)
 
 
 # --- results on the device ------------------------------------------------------------------------

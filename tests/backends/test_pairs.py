@@ -1,4 +1,7 @@
-"""Iterations of devices without float64, whose numbers are pairs of float32."""
+"""Iterations of devices without float64, whose numbers are pairs of float32.
+
+With the quirk `no_float64` the table of checks compares them with their definitions.
+"""
 
 import numpy as np
 import pyopencl as cl
@@ -10,8 +13,6 @@ from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import apply_quirks
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.resident_iteration import as_pairs, of_pairs
-from clmorph.backends.opencl.verification.bench import Bench
-from clmorph.backends.opencl.verification.iterations import iterate
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.steps import DeviceSteps, new_steps
 
@@ -67,18 +68,6 @@ def test_functions_of_pairs(without_float64, rng):
     cl.enqueue_copy(queue, found, result)
     for ours, (call, (exact, size)) in zip(of_pairs(found), wanted.items(), strict=True):
         assert np.abs((ours - exact) / size).max() <= 2.0**-44, call
-
-
-@pytest.mark.parametrize(
-    "stored", [False, pytest.param(True, marks=pytest.mark.full)], ids=["all", "stored"]
-)
-@pytest.mark.parametrize("balanced", range(4))
-def test_iterations_in_pairs(without_float64, balanced, stored):
-    for case in Bench(without_float64).clouds(3, columns=700):
-        findings = list(iterate(case, balanced, stored))
-        assert findings
-        for finding in findings:
-            assert finding.passed, str(finding)
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e5])

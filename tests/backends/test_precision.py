@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
+from clouds import drawings
 
 import clmorph
 from clmorph import ConvergenceWarning, DeviceError, lift, sinkhorn
@@ -13,12 +14,7 @@ from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import apply_quirks, choose_constants
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.quirks import find_quirks
-from clmorph.backends.opencl.devices.verdicts import (
-    Verdict,
-    forget,
-    save,
-    verdict_key,
-)
+from clmorph.backends.opencl.devices.verdicts import Verdict, forget, save, verdict_key
 from clmorph.backends.opencl.verification.bench import log_sum_exp_tolerance
 from clmorph.reference import NumPyOperations
 
@@ -31,14 +27,6 @@ def precise_device(request, device):
     quirks = frozenset({request.param} - {"float64"})
     constants = apply_quirks(choose_constants(device.device), quirks)
     return OpenCLOperations(device.device, constants, verify=False)
-
-
-def pictures(side=32):
-    """Two smooth pictures with an edge each."""
-    y, x = np.mgrid[:side, :side] / side
-    one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
-    two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
-    return one, two
 
 
 def true_residual(source, target, potentials, rho):
@@ -55,7 +43,7 @@ def true_residual(source, target, potentials, rho):
 @pytest.mark.parametrize("blur", [1.0, 0.1, 0.05, 0.03, 0.01, 0.003])
 def test_one_log_sum_exp(precise_device, rng, blur, color_weight):
     """Float32 within 1e-4 nats + 3e-8 max C / epsilon; precise within 1e-5 at any blur."""
-    source, target = (lift(picture, color_weight) for picture in pictures())
+    source, target = (lift(picture, color_weight) for picture in drawings(32))
     epsilon = blur**2
     g = 0.1 * rng.random() + epsilon * rng.normal(size=len(target))
     pairs = [
@@ -76,7 +64,7 @@ def test_one_log_sum_exp(precise_device, rng, blur, color_weight):
 
 @pytest.mark.parametrize(("blur", "tol"), [(0.05, 1e-4), (0.01, 1e-4), (0.003, 1e-3)])
 def test_the_solve_reaches_what_is_asked(precise_device, blur, tol):
-    source, target = (lift(picture) for picture in pictures(20))
+    source, target = (lift(picture) for picture in drawings(20))
     got = sinkhorn(source, target, blur, 0.3, tol, 5000, precise_device)
     assert got.converged
     assert got.residual <= tol
@@ -84,7 +72,7 @@ def test_the_solve_reaches_what_is_asked(precise_device, blur, tol):
 
 
 def test_more_than_float32_is_taken_only_where_needed(precise_device, monkeypatch):
-    source, target = (lift(picture) for picture in pictures(20))
+    source, target = (lift(picture) for picture in drawings(20))
     asked = []
     softmin = precise_device.softmin
 
@@ -114,7 +102,7 @@ def test_more_than_float32_is_taken_only_where_needed(precise_device, monkeypatc
 
 
 def test_float64_is_taken_or_refused(precise_device):
-    source, target = (lift(picture) for picture in pictures(12))
+    source, target = (lift(picture) for picture in drawings(12))
     if precise_device.has_float64:
         got = sinkhorn(source, target, 0.05, backend=precise_device, precision="float64")
         assert got.converged
@@ -125,7 +113,7 @@ def test_float64_is_taken_or_refused(precise_device):
 
 @pytest.mark.parametrize(("precision", "tol"), [("float32", 1e-5), ("auto", 1e-12)])
 def test_a_tolerance_below_rounding_is_answered_so(device, precision, tol):
-    source, target = (lift(picture) for picture in pictures(20))
+    source, target = (lift(picture) for picture in drawings(20))
     with pytest.warns(ConvergenceWarning, match="rounding can leave"):
         got = sinkhorn(
             source, target, 0.03, 0.3, tol, 10**6, backend=device, precision=precision
@@ -186,7 +174,7 @@ def test_slow_float64_is_remembered(device, monkeypatch, tmp_path):
 
 def test_precise_plan_rows(precise_device):
     """At a small blur float32 exponents alone are off by more."""
-    source, target = (lift(picture) for picture in pictures(20))
+    source, target = (lift(picture) for picture in drawings(20))
     potentials = sinkhorn(source, target, 0.003, 0.3, 1e-3, 5000, precise_device)
     plan = clmorph.transport_plan(source, target, potentials, backend=precise_device)
     assert potentials.precise

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from clouds import drawings
 from exercise_kernels import exercise
 
 from clmorph import lift, morph, sinkhorn, sinkhorn_batch, sinkhorn_divergence
@@ -36,9 +37,7 @@ BUILDS = {
 
 
 def pictures(side):
-    y, x = np.mgrid[:side, :side] / side
-    one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
-    two = np.stack([y, (x - 0.5) ** 2, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
+    one, two = drawings(side)
     return one, two[:, : side - 2]
 
 

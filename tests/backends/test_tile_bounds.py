@@ -9,6 +9,7 @@ from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels import candidates, tile_bounds
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E
 from clmorph.backends.opencl.kernels.tile_bounds import all_tiles
+from clmorph.backends.opencl.kernels.tile_bounds import tile_bounds as bounds_of
 from clmorph.backends.opencl.kernels.tile_pairs import column_bounds, row_bounds
 
 #: Clouds in five dimensions, and in others.
@@ -66,9 +67,8 @@ def test_bounds_hold_and_are_those_of_the_formula(variant, rng, name, largest):
     pair = make(rng) if make else [(rng.random((n, name)), np.full(n, 1 / n)) for n in (200, 150)]
     epsilon, dimension = (0.01 if make else 0.05), pair[0][0].shape[1]
     clouds, sides, k, shares = sides_of(variant, pair, epsilon, rng, largest)
-    kernel = variant.plan_row_reductions.tile_bounds
     n_tiles = [len(cloud.centers) for cloud in clouds]
-    (found,) = kernel.bounds(clouds[0], [sides], k, [all_tiles(*n_tiles)])
+    (found,) = bounds_of(variant.row_loop, clouds[0], [sides], k, [all_tiles(*n_tiles)])
     assert found.part == range(n_tiles[0])
     got = found.values.reshape(n_tiles)
     want, sizes = in_float64(*sides, k)
@@ -92,7 +92,7 @@ def test_rows_that_keep_no_pair_list_one_tile(device, rng, monkeypatch, wide_fro
     of_rows = np.where(rows.log2_weights > 0.5 * SENTINEL, -threshold, -SENTINEL)
     parts = list(
         candidates.possible_pairs(
-            device.plan_row_reductions.tile_bounds, rows, columns,
+            device.row_loop, rows, columns,
             [(of_rows, np.zeros(len(columns)))], k,
         )
     )  # fmt: skip
@@ -112,7 +112,6 @@ def test_rows_that_keep_no_pair_list_one_tile(device, rng, monkeypatch, wide_fro
 
 def test_bounds_that_overflow_exclude_nothing(device):
     """Infinite terms make a bound that is no number, and such a tile is kept."""
-    kernel = device.plan_row_reductions.tile_bounds
     points = np.linspace(0, 1, 130)[:, None]
     cloud = device.upload(points, np.ones(130))
     k = LOG2_E / 1e-4
@@ -121,7 +120,9 @@ def test_bounds_that_overflow_exclude_nothing(device):
     )  # fmt: skip
     far = sides[1]._replace(centers=sides[1].centers + np.float32(1e30))
     n_tiles = len(cloud.centers)
-    (bound,) = kernel.bounds(cloud, [(sides[0], far)], k, [all_tiles(n_tiles, n_tiles)])
+    (bound,) = bounds_of(
+        device.row_loop, cloud, [(sides[0], far)], k, [all_tiles(n_tiles, n_tiles)]
+    )
     assert np.isnan(bound.values).all()
     _, tiles, _ = candidates._above(bound, 0.0)
     assert tiles.tolist() == n_tiles * list(range(n_tiles))
@@ -163,11 +164,10 @@ def test_candidates_leave_out_no_more_than_they_report(device, rng, monkeypatch,
     exact = NumPyOperations()
     softmin = exact.softmin(*(exact.upload(*each) for each in pair), g, blur**2)
     guess, values = -k * softmin[rows.order], columns.log2_weights
-    kernel = device.plan_row_reductions.tile_bounds
     x, y = (each[cloud.order] for (each, _), cloud in zip(pair, (rows, columns), strict=True))
     seen, kept = 0, 0
     for part, pairs, unseen in candidates.candidates(
-        kernel, rows, columns, row_bounds(rows, guess, k), guess, values, k, budget
+        device.row_loop, rows, columns, row_bounds(rows, guess, k), guess, values, k, budget
     ):
         assert part.start == seen
         seen = part.stop

@@ -13,10 +13,7 @@ from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import tuned_record
 from clmorph.backends.opencl.build.constants import choose_constants
 from clmorph.backends.opencl.build.programs import program_key
-from clmorph.backends.opencl.build.tuned_record import (
-    forget_tuning,
-    tuned_constants,
-)
+from clmorph.backends.opencl.build.tuned_record import forget_tuning, tuned_constants
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices import find, throughput, verdicts
 from clmorph.backends.opencl.devices.cache import load_record, save_record

@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.interface import MAX_SPREAD
 from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
-from clmorph.backends.numpy.color_table import apply_table
-from clmorph.backends.numpy.grids import grid_log_sum_exp
+from clmorph.backends.numpy.fields import apply_table, grid_log_sum_exp, nearest_seeds
 from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
 from clmorph.backends.numpy.layers import draw_layers, edge_preserving_mean, follow_paths
-from clmorph.backends.numpy.nearest_seeds import nearest_seeds
 from clmorph.backends.records import (
     WIDTH_LEVELS,
     Bins,

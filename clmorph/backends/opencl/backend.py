@@ -14,7 +14,6 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
 from clmorph.backends.opencl.devices.quirks import shares_host_memory
 from clmorph.backends.opencl.devices.verdicts import probed_speed
-from clmorph.backends.opencl.kernels.barycentric_projection import BarycentricProjection
 from clmorph.backends.opencl.kernels.batches import BatchStore
 from clmorph.backends.opencl.kernels.clouds import CloudStore
 from clmorph.backends.opencl.kernels.color_table import ColorTable
@@ -99,7 +98,7 @@ class OpenCLOperations:
         self.stored_steps = StoredSteps(loop, take_turns)
         parts = (
             log_sum_exp, plan_rows, self.splatting, self.stored_steps, BatchStore(loop),
-            NearField(loop, log_sum_exp), PlanShares(loop), BarycentricProjection(loop),
+            NearField(loop, log_sum_exp), PlanShares(loop),
             SlicedEllpack(loop, plan_rows), HalfSteps(loop, take_turns, factor), Layers(*shared),
             NearestSeeds(*shared), ColorTable(self.work, self.programs), GridLogSumExp(*shared),
         )  # fmt: skip

@@ -17,7 +17,6 @@ from clmorph.backends.opencl.devices.verdicts import (
     driver_identity,
     forget,
     load,
-    refuse,
     save,
     verdict_key,
 )
@@ -224,7 +223,7 @@ def forget_verdicts(handle: "cl.Device | None" = None) -> None:
 
 def mark_unusable(handle: "cl.Device", reason: str) -> None:
     """Remember that a device, or a part of one, is unusable, which was found after its trial."""
-    refuse(verdict_key(handle), reason)
+    save(verdict_key(handle), Verdict(reason))
     _forget_found()
 
 

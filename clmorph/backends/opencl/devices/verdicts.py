@@ -42,9 +42,8 @@ class Verdict:
 
 
 _TYPES = {each.name: type(each.default) for each in fields(Verdict)}
-#: Verdicts that this process knows, by their keys, and the keys of devices that it has refused.
+#: Verdicts that this process knows, by their keys.
 _known: dict[str, Verdict] = {}
-_refused: set[str] = set()
 
 
 @cache
@@ -134,15 +133,10 @@ def probed_speed(device: "cl.Device") -> float:
     return 0.0 if part else probed(device).pairs_per_second
 
 
-def refuse(key: str, reason: str) -> None:
-    """Remember that a device is unusable, in this process even if nothing can be stored."""
-    _refused.add(key)
-    save(key, Verdict(reason))
-
-
 def refusals() -> int:
-    """Return how many devices this process has found unusable after their trial."""
-    return len(_refused)
+    """Return how many devices this process knows to be unusable."""
+    known = list(_known.items())  # at once: other threads add to it
+    return sum(bool(each.reason) for key, each in known if key.startswith(DEVICES))
 
 
 def forget(key: str | None = None) -> None:
@@ -150,7 +144,6 @@ def forget(key: str | None = None) -> None:
     for each in list(_known):
         if key in (None, each) or each.startswith(PROGRAMS):
             del _known[each]
-    _refused.intersection_update(_known)
     forget_cached(DEVICES if key is None else f"{key}.json")
     forget_cached(PROGRAMS)
 

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from clmorph._shared.threads import in_order
 from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS, Cloud, Tiles
+from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.tile_bounds import (
     BoundTiles,
-    TileBoundKernel,
     TileLists,
     all_tiles,
+    tile_bounds,
 )
 from clmorph.backends.opencl.kernels.tile_pairs import (
     TileBounds,
@@ -42,7 +43,7 @@ class Candidates(NamedTuple):
 
 
 def candidates(
-    kernel: TileBoundKernel,
+    loop: RowLoop,
     rows: Cloud,
     columns: Cloud,
     bounds: TileBounds,
@@ -71,16 +72,12 @@ def candidates(
         pairs = paired(rows, columns, bound.part, each, tiles[keep])
         return Candidates(bound.part, pairs, (unseen + 0.5) * budget)
 
-    bounded = kernel.bounds(rows, sides, k, _lists(kernel, rows, columns, wides, k, limit))
+    bounded = tile_bounds(loop, rows, sides, k, _lists(loop, rows, columns, wides, k, limit))
     yield from _joined((found for _, found in in_order(chosen, bounded)), len(rows.centers))
 
 
 def possible_pairs(
-    kernel: TileBoundKernel,
-    rows: Cloud,
-    columns: Cloud,
-    values: list[tuple[Float64, Float64]],
-    k: float,
+    loop: RowLoop, rows: Cloud, columns: Cloud, values: list[tuple[Float64, Float64]], k: float
 ) -> Iterator[tuple[range, TilePairs]]:
     """Yield pairs of tiles of which one bound is not below 0, at least one of each row tile."""
 
@@ -96,7 +93,7 @@ def possible_pairs(
         pairs = paired(rows, columns, bound.part, np.diff(starts), tiles)
         return Candidates(bound.part, pairs, np.zeros(len(bound.part)))
 
-    bounded = kernel.bounds(rows, sides, k, _lists(kernel, rows, columns, wides, k, 0.0))
+    bounded = tile_bounds(loop, rows, sides, k, _lists(loop, rows, columns, wides, k, 0.0))
     for part, pairs, _ in _joined(map(possible, bounded), len(rows.centers)):
         yield part, pairs
 
@@ -123,12 +120,7 @@ def _joined(parts: Iterable[Candidates], n_rows: int) -> Iterator[Candidates]:
 
 
 def _lists(
-    kernel: TileBoundKernel,
-    rows: Cloud,
-    columns: Cloud,
-    wides: list[_Sides],
-    k: float,
-    limit: float,
+    loop: RowLoop, rows: Cloud, columns: Cloud, wides: list[_Sides], k: float, limit: float
 ) -> Iterator[TileLists]:
     """Yield the column tiles of blocks of row tiles, without groups bounded below `limit`."""
     n_columns = len(columns.centers)
@@ -136,7 +128,7 @@ def _lists(
         yield all_tiles(len(rows.centers), n_columns)
         return
     every = all_tiles(len(rows.wide.centers), len(columns.wide.centers))
-    for bound in kernel.bounds(rows, wides, k, [every]):
+    for bound in tile_bounds(loop, rows, wides, k, [every]):
         starts, groups, _ = _above(bound, limit)
         members = np.arange(WIDTH_OF_GROUPS, dtype=np.uint32)
         tiles: NDArray[np.uint32] = np.uint32(WIDTH_OF_GROUPS) * groups[:, None] + members
@@ -170,11 +162,7 @@ def joined_pairs(rows: Cloud, columns: Cloud, one: TilePairs, other: TilePairs) 
 
 
 def paired(
-    rows: Cloud,
-    columns: Cloud,
-    part: range,
-    lengths: NDArray[np.int64],
-    tiles: NDArray[np.uint32],
+    rows: Cloud, columns: Cloud, part: range, lengths: NDArray[np.int64], tiles: NDArray[np.uint32]
 ) -> TilePairs:
     """Return the pairs of some row tiles as a list in which other row tiles have no pairs."""
     each = np.zeros(len(rows.centers), np.int64)

@@ -25,39 +25,6 @@ PLACE_BITS, POINT_BITS = 20, 24
 RIDGE = 1e-6
 
 
-class TileFits:
-    """Fits values over the points of each tile, less its center, by linear functions."""
-
-    def __init__(self, shifts: NDArray[np.float32]) -> None:
-        self._shifts = shifts
-
-    @cached_property
-    def half_squares(self) -> Float64:
-        """Half the squared distances of the points from their tile's center: (tiles, tile)."""
-        return 0.5 * np.einsum("ntd,ntd->nt", self._shifts, self._shifts, dtype=float)
-
-    @cached_property
-    def _of_values(self) -> NDArray[np.float32]:
-        """The matrices that turn values of all points into slopes: (tiles, D, tile) array."""
-        u = self._shifts - self._shifts.mean(axis=1, dtype=float)[:, None]
-        across = np.swapaxes(u, 1, 2)
-        # `solve` takes many times as long for so many right sides of small matrices.
-        found: NDArray[np.float64] = np.linalg.inv(_with_ridge(across @ u)) @ across
-        return found.astype(np.float32)
-
-    def slopes(self, values: Float64, present: NDArray[np.bool_]) -> Float64:
-        """Return least-squares slopes of values over present points, (tiles, D), as float32."""
-        if self._shifts.shape[2] >= SLICED_FROM:
-            # A tile has hardly more points than slopes.
-            return np.zeros((len(values), self._shifts.shape[2]))
-        centered = (values - values.mean(axis=1, keepdims=True)).astype(np.float32)
-        slopes = (self._of_values @ centered[..., None])[..., 0]
-        some = np.flatnonzero(~present.all(axis=1))
-        if len(some):
-            slopes[some] = _slopes_of_some(self._shifts[some], values[some], present[some])
-        return slopes.astype(float)
-
-
 def _slopes_of_some(
     shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bool_]
 ) -> Float64:
@@ -89,9 +56,30 @@ class Tiles:
     shifts: NDArray[np.float32]
 
     @cached_property
-    def fits(self) -> TileFits:
-        """Fits of values over the points of each tile."""
-        return TileFits(self.shifts)
+    def half_squares(self) -> Float64:
+        """Half the squared distances of the points from their tile's center: (tiles, tile)."""
+        return 0.5 * np.einsum("ntd,ntd->nt", self.shifts, self.shifts, dtype=float)
+
+    @cached_property
+    def _of_values(self) -> NDArray[np.float32]:
+        """The matrices that turn values of all points into slopes: (tiles, D, tile) array."""
+        u = self.shifts - self.shifts.mean(axis=1, dtype=float)[:, None]
+        across = np.swapaxes(u, 1, 2)
+        # `solve` takes many times as long for so many right sides of small matrices.
+        found: NDArray[np.float64] = np.linalg.inv(_with_ridge(across @ u)) @ across
+        return found.astype(np.float32)
+
+    def slopes(self, values: Float64, present: NDArray[np.bool_]) -> Float64:
+        """Return least-squares slopes of values over present points, (tiles, D), as float32."""
+        if self.shifts.shape[2] >= SLICED_FROM:
+            # A tile has hardly more points than slopes.
+            return np.zeros((len(values), self.shifts.shape[2]))
+        centered = (values - values.mean(axis=1, keepdims=True)).astype(np.float32)
+        slopes = (self._of_values @ centered[..., None])[..., 0]
+        some = np.flatnonzero(~present.all(axis=1))
+        if len(some):
+            slopes[some] = _slopes_of_some(self.shifts[some], values[some], present[some])
+        return slopes.astype(float)
 
     @cached_property
     def half_sides(self) -> NDArray[np.float32]:

@@ -126,16 +126,14 @@ class Moments:
     def add(
         self,
         bins: SortedSplats,
-        starts: NDArray[np.int64],
         cells: Cells,
         shape: tuple[int, int],
-        stride: int,
-        plane: int,
+        padded: tuple[int, int],
         sums: cl.Buffer,
     ) -> None:
-        """Add splats of one width level, sorted with the radius as margin, to the sums."""
+        """Add splats of one width level, sorted with the radius as margin, to the padded sums."""
         per_bin = round(bins.side / cells.side)
-        bins_y, bins_x = bins.shape
+        (bins_y, bins_x), starts = bins.shape, bins.starts
         row_bytes = bins_x * per_bin**2 * TERMS * 16
         strip = int(np.clip(STRIP_BYTES // row_bytes, 1, bins_y))
         moments, partial = (self._work.empty(strip * row_bytes) for _ in range(2))
@@ -150,7 +148,7 @@ class Moments:
             rows = min(strip, bins_y - top)
             if starts[top * bins_x] == starts[(top + rows) * bins_x]:
                 continue
-            self._sum_moments(bins, starts, starts_buffer, top, rows, cells, moments, partial)
+            self._sum_moments(bins, starts_buffer, top, rows, cells, moments, partial)
             self._over_rows(
                 "sum_rows", 0, rows * per_bin, shape[1], 8 * taps, (
                     np.uint32(top * bins_x),
@@ -166,14 +164,13 @@ class Moments:
                 "sum_columns", max(0, low), min(shape[0], high), shape[1], 4 * taps, (
                     np.int32(first_row), np.int32(rows * per_bin),
                     *geometry, coefficients, along_x,
-                    np.uint64(plane), np.uint64(stride), sums,
+                    np.uint64(padded[0] * padded[1]), np.uint64(padded[1]), sums,
                 ),
             )  # fmt: skip
 
     def _sum_moments(
         self,
         bins: SortedSplats,
-        starts: NDArray[np.int64],
         starts_buffer: cl.Buffer,
         top: int,
         rows: int,
@@ -182,7 +179,7 @@ class Moments:
         partial: cl.Buffer,
     ) -> None:
         """Compute the moments of every cell of a strip."""
-        bins_x = bins.shape[1]
+        bins_x, starts = bins.shape[1], bins.starts
         strip = slice(top * bins_x, (top + rows) * bins_x)
         counts = np.diff(starts[strip.start : strip.stop + 1])
         per_bin = round(bins.side / cells.side)

@@ -7,10 +7,11 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.numpy.grids import grid_log_sum_exp as on_host
+from clmorph.backends.numpy.fields import grid_log_sum_exp as on_host
 from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
+from clmorph.backends.opencl.kernels.row_loop import LOG2_E
 from clmorph.backends.records import Float64
 
 #: Columns that are handled together in sums of exponents, and in those of products, the same as in
@@ -21,8 +22,6 @@ FAINTEST = -126.0, -1022.0
 #: What a pass leaves out is at most 2 to the power of minus this share of a sum: in float32, and in
 #: float64.
 CUT = 26.0, 52.0
-#: Powers of two in a nat.
-LOG2_E = float(np.log2(np.e))
 
 
 class GridLogSumExp:

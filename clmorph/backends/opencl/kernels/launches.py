@@ -72,6 +72,20 @@ class LaunchBudget:
         self._pairs = max(1, int(min(affordable, 4 * self._pairs)))
 
 
+def set_argument(kernel: cl.Kernel, number: int, value: Any, known: dict[int, bytes]) -> None:
+    """Set an argument of a kernel; of scalars, whose bytes are `known`, one that has changed."""
+    # pyopencl takes 5 microseconds to set a scalar, and a kernel stores the last one.
+    scalar = value.tobytes() if isinstance(value, np.generic) else b""
+    if scalar and known.get(number) == scalar:
+        return
+    # Ctrl-C may come between any two of these steps: the kernel must not store another value than
+    # the one that is known.
+    known.pop(number, None)
+    kernel.set_arg(number, value)
+    if scalar:
+        known[number] = scalar
+
+
 class Workspace:
     """The context, the queue, perhaps out of order, and the buffers of kernels on one device."""
 
@@ -122,18 +136,7 @@ class Workspace:
         check_cancelled()
         known = self._scalars.setdefault(kernel, {})
         for number, argument in enumerate(arguments):
-            if isinstance(argument, np.generic):
-                # pyopencl takes 5 microseconds to set a scalar, and a kernel stores the last one.
-                value = argument.tobytes()
-                if known.get(number) == value:
-                    continue
-                # Ctrl-C may come between any two of these steps: the kernel must not store another
-                # value than the one that is known.
-                known.pop(number, None)
-                kernel.set_arg(number, argument)
-                known[number] = value
-            else:
-                kernel.set_arg(number, argument)
+            set_argument(kernel, number, argument, known)
         ended = [cl.enqueue_nd_range_kernel(self.queue, kernel, size, group)]
         try:
             for values, buffer in results:

@@ -104,7 +104,7 @@ class Layers:
     ) -> Float32:
         """Follow places backwards along a field; see `clmorph.backends.interface.Operations`."""
         make = cl.cltypes
-        places = [self._work.buffer(_apart(place)) for place in _places(to_field, shape)]
+        places = [self._work.buffer(_apart(place)) for place in to_field.axes(shape)]
         # A kernel reads four numbers at once.
         on_device = self._work.buffer(np.pad(with_steepness(field), ((0, 0), (0, 0), (0, 1))))
         found = np.empty((steps + 1, *shape, 2), np.float32)
@@ -202,11 +202,7 @@ class Layers:
         return buffer
 
     def _launch(
-        self,
-        name: str,
-        size: tuple[int, int],
-        *arguments: Any,
-        results: Results = (),
+        self, name: str, size: tuple[int, int], *arguments: Any, results: Results = ()
     ) -> None:
         """Run a kernel for (width, height) points."""
         (width, height), group = size, self._group
@@ -231,12 +227,6 @@ class _Window:
         self.weights[:, :wanted] = np.exp(-0.5 * apart**2 / sigma**2)
 
 
-def _places(affine: Affine, shape: tuple[int, int]) -> Iterator[Float64]:
-    """Yield where the rows, then the columns, of a grid stand on another one."""
-    for origin, step, side in zip(affine.origin, affine.step, shape, strict=True):
-        yield origin + step * np.arange(side, dtype=float)
-
-
 def _over(few: int, many: int) -> Float64:
     """Return where many pixels stand on few ones over the same extent."""
     return (np.arange(many, dtype=float) - (many - 1) / 2) * (few / many) + (few - 1) / 2
@@ -259,7 +249,7 @@ def _between(places: Float64, side: int) -> Float32:
 def _tables(view: LayerView, shape: tuple[int, int]) -> Iterator[list[Float32]]:
     """Yield where the rows, then the columns, of a canvas stand on the three grids of a layer."""
     axes = zip(
-        _places(view.to_paths, shape), _places(view.to_field, shape), view.layer.shape,
+        view.to_paths.axes(shape), view.to_field.axes(shape), view.layer.shape,
         view.to_picture.origin, view.to_picture.step, strict=True,
     )  # fmt: skip
     for on_paths, on_field, side, origin, step in axes:

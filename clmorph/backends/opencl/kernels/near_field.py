@@ -14,7 +14,6 @@ from clmorph.backends.opencl.kernels.candidates import candidates
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, unsort
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
-from clmorph.backends.opencl.kernels.tile_bounds import TileBoundKernel
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, row_bounds
 from clmorph.backends.records import Float64, NearPairs
 
@@ -44,7 +43,6 @@ class NearField:
     def __init__(self, loop: RowLoop, log_sum_exp: LogSumExp) -> None:
         self._loop, self._log_sum_exp = loop, log_sum_exp
         self.many_eighths = probed(loop.work.device).many_eighths
-        self._bounds = TileBoundKernel(loop)
 
     def near_pairs(
         self,
@@ -69,7 +67,7 @@ class NearField:
         boxes = column_boxes(self._loop, columns, values, exponents.tile_max, k)
         limits = guess + k * (rows.own_costs - rows.offsets)
         for part, pairs, unseen in candidates(
-            self._bounds, rows, columns, bounds, guess, values, k, UNSEEN * budget
+            self._loop, rows, columns, bounds, guess, values, k, UNSEEN * budget
         ):
             starts = pairs.starts[part.start : part.stop + 1]
             lengths = np.diff(starts)
@@ -181,7 +179,7 @@ def column_boxes(
     tiles, _, dimension = shifts.shape
     logits = pad(values, columns.stride, SENTINEL).reshape(tiles, -1)
     present = logits > 0.5 * SENTINEL
-    slopes = columns.fits.slopes(np.where(present, logits / k, 0.0), present)
+    slopes = columns.slopes(np.where(present, logits / k, 0.0), present)
     rest = logits - tile_max[:, None] - k * np.einsum("ntd,nd->nt", shifts, slopes)
     rest = np.where(present, rest, SENTINEL).reshape(tiles, constants.width, -1).max(axis=2)
     points = shifts.reshape(-1, dimension)

@@ -12,7 +12,6 @@ from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.candidates import possible_pairs
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
-from clmorph.backends.opencl.kernels.tile_bounds import TileBoundKernel
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64, PlanRows, PlanTerms
 
@@ -35,7 +34,7 @@ class PlanRowReductions:
     """Counts and writes the kept pairs of a plan."""
 
     def __init__(self, loop: RowLoop) -> None:
-        self._loop, self.tile_bounds = loop, TileBoundKernel(loop)
+        self._loop = loop
         #: Whether rows are searched by lists of tiles however few they are.
         self.always_listed = False
 
@@ -143,7 +142,7 @@ class PlanRowReductions:
             (np.minimum(over, -SENTINEL), np.maximum(under, SENTINEL))
             for over, under in ((by_row, logits), (-offsets, by_column))
         ]
-        yield from possible_pairs(self.tile_bounds, rows, columns, sides, k)
+        yield from possible_pairs(self._loop, rows, columns, sides, k)
 
 
 def _log2_threshold(values: Float64) -> Float64:

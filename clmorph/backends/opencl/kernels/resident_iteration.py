@@ -16,7 +16,7 @@ from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.clouds import split
-from clmorph.backends.opencl.kernels.launches import LaunchBudget
+from clmorph.backends.opencl.kernels.launches import LaunchBudget, set_argument
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import SOURCE, Float64, IterationNumbers, ProgramError, next_source
 
@@ -44,7 +44,7 @@ class BoundKernels:
             self._told[kernel] = [(name, number) for number, name in places if name in TOLD]
         self._iteration: weakref.ref[DeviceIteration] | None = None
         self._epsilon, self._version = 0.0, 0
-        self._scalars: dict[tuple[str, int], bytes] = {}
+        self._scalars: dict[str, dict[int, bytes]] = {kernel: {} for kernel in arguments}
 
     def bind(self, iteration: "DeviceIteration") -> None:
         """Set what stays the same in an iteration, and the scalars that follow from its epsilon."""
@@ -62,26 +62,13 @@ class BoundKernels:
 
     def set(self, name: str, value: Any) -> None:
         """Set an argument of all kernels that take it."""
-        for place in self._places.get(name, ()):
-            self._set(place, value)
+        for kernel, number in self._places.get(name, ()):
+            set_argument(self.kernels[kernel], number, value, self._scalars[kernel])
 
     def tell(self, kernel: str, told: dict[str, Any]) -> None:
         """Set arguments of one iteration alone."""
         for name, number in self._told.get(kernel, ()) if told else ():
-            self._set((kernel, number), told[name])
-
-    def _set(self, place: tuple[str, int], value: Any) -> None:
-        """Set an argument of a kernel; a scalar where it has changed.
-
-        See `Workspace.launch`: Ctrl-C may come between any two of these steps.
-        """
-        scalar = value.tobytes() if isinstance(value, np.generic) else b""
-        if scalar and self._scalars.get(place) == scalar:
-            return
-        self._scalars.pop(place, None)
-        self.kernels[place[0]].set_arg(place[1], value)
-        if scalar:
-            self._scalars[place] = scalar
+            set_argument(self.kernels[kernel], number, told[name], self._scalars[kernel])
 
 
 def as_pairs(values: Any) -> NDArray[np.float32]:

@@ -31,12 +31,7 @@ USUAL_SUM = 0.25
 
 
 def rounding_bound(
-    constants: BuildConstants,
-    dimension: int,
-    costs: Any,
-    spread: Any,
-    largest: Any,
-    n_tiles: Any,
+    constants: BuildConstants, dimension: int, costs: Any, spread: Any, largest: Any, n_tiles: Any
 ) -> Any:
     """Return a bound of a log-sum-exp in nats, with every rounding error at its largest.
 

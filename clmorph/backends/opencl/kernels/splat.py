@@ -23,12 +23,13 @@ from clmorph.backends.opencl.kernels.particles import (
     ParticleSet,
     SortedSplats,
     Splats,
-    sort_splats,
     whole_groups,
 )
-from clmorph.backends.records import WIDTH_LEVELS, Bins, Float32, Float64
+from clmorph.backends.records import WIDTH_LEVELS, Bins, Float32, Float64, bin_grid
 from clmorph.errors import DeviceError
 
+#: Entries of the (slices, bins) table of counts; fewer slices are used on large canvases.
+COUNT_ENTRIES = 1 << 21
 #: The number of bins around the canvas; particles farther out fall into the outermost ones.
 MARGIN = 1
 #: For splats with individual widths, moments are used for widths from `sigma` to this multiple of
@@ -64,11 +65,7 @@ class Splatting:
         )
 
     def upload_splats(
-        self,
-        positions: Float32,
-        colors: Float32,
-        weights: Float32,
-        spacings: Float32 | None = None,
+        self, positions: Float32, colors: Float32, weights: Float32, spacings: Float32 | None = None
     ) -> Splats:
         """Upload particles at rest; see `clmorph.backends.interface.Operations`."""
         unit = _unit(weights)
@@ -138,12 +135,55 @@ class Splatting:
 
     def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins; see `clmorph.backends.interface.Operations`."""
-        by_bin = sort_splats(
-            self._work, self._programs, self._constants, splats, shape, margin, self._constants.bin
-        )
+        by_bin = self._sorted(splats, shape, margin, self._constants.bin)
         order = np.empty(splats.count, np.uint32)
         cl.enqueue_copy(self._work.queue, order, by_bin.order)
         return Bins(by_bin.shape, by_bin.starts[0], order.astype(np.int64))
+
+    def _sorted(
+        self, splats: Splats, shape: tuple[int, int], margin: int, side: float
+    ) -> SortedSplats:
+        """Sort splats into bins without atomics: count in each slice, add up, fill the bins."""
+        n = splats.count
+        grid = bin_grid(shape, margin, side)
+        bins = grid[0] * grid[1]
+        n_bins = bins * (1 if splats.width_levels is None else WIDTH_LEVELS.count)
+        work, device = self._work, self._work.device
+        slices = self._constants.slices_per_unit * device.max_compute_units
+        slices = whole_groups(max(1, min(slices, COUNT_ENTRIES // n_bins, n)))
+        slices = max(slices, -(-n // loop_limits.sorted_particles(self._constants)))
+        # There are few slices. By default, drivers of CPUs put all of them into one work-group on
+        # one core, and vectorize over them with scattered accesses.
+        group = (1,) if device.type & cl.device_type.CPU else None
+        slice_size = -(-n // slices)
+        per_launch = whole_groups(max(1, launches.LAUNCH_PARTICLES // slice_size))
+        counts = np.zeros((slices, n_bins), np.uint32)
+        counts_buffer = work.buffer(counts, np.uint32)
+        # The kernel ignores this buffer if all widths are equal, but drivers require one.
+        levels = splats.positions if splats.width_levels is None else splats.width_levels
+
+        def over_slices(name: str, *arguments: Any) -> None:
+            kernel = self._programs.kernel("particles.cl", name)
+            for first in range(0, slices, per_launch):
+                work.launch(
+                    kernel, (min(per_launch, slices - first),), group,
+                    np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(n_bins),
+                    np.float32(1 / side), np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]),
+                    np.uint32(0 if splats.width_levels is None else bins), splats.positions, levels,
+                    *arguments,
+                )  # fmt: skip
+
+        over_slices("count_bins", counts_buffer)
+        cl.enqueue_copy(work.queue, counts, counts_buffer)
+        # A bin's particles stay together, in the order of the slices.
+        starts = np.concatenate(([0], np.cumsum(counts.sum(axis=0, dtype=np.int64))))
+        slots = starts[:-1] + np.cumsum(counts, axis=0, dtype=np.int64) - counts
+        order, positions, samples = work.empty(4 * n), work.empty(8 * n), work.empty(16 * n)
+        over_slices(
+            "fill_bins", splats.samples, work.buffer(slots, np.uint32), order, positions, samples
+        )
+        by_level = [starts[first : first + bins + 1] for first in range(0, n_bins, bins)]
+        return SortedSplats(grid, side, margin, np.stack(by_level), order, positions, samples)
 
     def splat(
         self, splats: Splats, shape: tuple[int, int], sigma: float, radius: float
@@ -159,7 +199,7 @@ class Splatting:
             side = BIN_CELLS * make_cells(sigma, radius).side
             widest = 1 if splats.width_levels is None else WIDEST
             margin = int(np.ceil(widest * radius / side))
-        bins = sort_splats(self._work, self._programs, self._constants, splats, shape, margin, side)
+        bins = self._sorted(splats, shape, margin, side)
         block = self._block
         blocks = -(-height // block), -(-width // block)
         padded = blocks[0] * block, blocks[1] * block
@@ -169,22 +209,17 @@ class Splatting:
             count = int(starts[-1] - starts[0])
             if count == 0:
                 continue
-            factor = 1.0
+            own, factor = bins._replace(starts=starts), 1.0
             if splats.width_levels is not None:
                 factor = float(WIDTH_LEVELS.factor(level))
             wide, far = factor * sigma, factor * radius
             fits = by_moments and 1 <= factor <= WIDEST
             if fits and self._by_moments(count, shape, wide, far):
-                self._moments.add(
-                    bins, starts, make_cells(wide, far), shape,
-                    padded[1], padded[0] * padded[1], buffer,
-                )  # fmt: skip
+                self._moments.add(own, make_cells(wide, far), shape, padded, buffer)
                 continue
             scale = 0.0 if nearest else -np.log2(np.e) / (2 * wide**2)
-            self._gather(
-                bins, starts, blocks, block,
-                (np.float32(scale), np.float32(far), np.int32(nearest)), buffer,
-            )  # fmt: skip
+            kernel = np.float32(scale), np.float32(far), np.int32(nearest)
+            self._gather(own, blocks, kernel, buffer)
         cl.enqueue_copy(self._work.queue, sums, buffer)
         frame = sums[:, :height, :width].astype(float) * splats.unit
         return np.moveaxis(frame[1:], 0, -1), frame[0]
@@ -198,18 +233,17 @@ class Splatting:
     def _gather(
         self,
         bins: SortedSplats,
-        starts: NDArray[np.int64],
         blocks: tuple[int, int],
-        side: int,
         kernel: tuple[np.float32, np.float32, np.int32],
         sums: cl.Buffer,
     ) -> None:
         """Add the splats of one width level to the sums of all blocks of pixels."""
-        (blocks_y, blocks_x), splat = blocks, self._programs.kernel("splat.cl", "splat")
-        on_device = self._work.buffer(starts, np.uint32)
-        visits = self._visits(bins, starts, blocks, side, float(kernel[1]))
+        (blocks_y, blocks_x), side = blocks, self._block
+        splat = self._programs.kernel("splat.cl", "splat")
+        on_device = self._work.buffer(bins.starts, np.uint32)
+        visits = self._visits(bins, blocks, float(kernel[1]))
         group = self._constants.tile_group
-        first_particle, end = int(starts[0]), int(starts[-1])
+        first_particle, end = int(bins.starts[0]), int(bins.starts[-1])
         # Crowded blocks receive their particles in parts. The parts have a fixed size, so that
         # rounding does not depend on the measured speed of the device.
         limit = loop_limits.gathered_particles(self._constants, bins.shape[0])
@@ -231,17 +265,12 @@ class Splatting:
                     )  # fmt: skip
 
     def _visits(
-        self,
-        bins: SortedSplats,
-        starts: NDArray[np.int64],
-        blocks: tuple[int, int],
-        side: int,
-        radius: float,
+        self, bins: SortedSplats, blocks: tuple[int, int], radius: float
     ) -> NDArray[np.int64]:
         """Return the number of particles that each block of pixels visits, row by row."""
         sums = np.zeros((bins.shape[0] + 1, bins.shape[1] + 1), np.int64)
-        sums[1:, 1:] = np.diff(starts).reshape(bins.shape).cumsum(axis=0).cumsum(axis=1)
-        low, high = [], []
+        sums[1:, 1:] = np.diff(bins.starts).reshape(bins.shape).cumsum(axis=0).cumsum(axis=1)
+        low, high, side = [], [], self._block
         for count, n_bins in zip(blocks, bins.shape, strict=True):
             first = np.arange(count) * side
             reach = np.array([-radius, side - 1 + radius])[:, None] + first

@@ -54,66 +54,60 @@ def all_tiles(n_rows: int, n_columns: int) -> TileLists:
     )
 
 
-class TileBoundKernel:
-    """Computes the bounds B of `clmorph.backends.opencl.kernels.tile_pairs` on the device."""
+def tile_bounds(
+    loop: RowLoop,
+    cloud: Cloud,
+    sides: list[tuple[TileBounds, TileBounds]],
+    k: float,
+    lists: Iterable[TileLists],
+) -> Iterator[BoundTiles]:
+    """Yield B of `kernels.tile_pairs` of listed pairs, each the largest over the sides."""
+    n_rows, n_columns = (len(terms.level) for terms in sides[0])
+    work, width = loop.work, loop.constants.width
+    kernel = loop.kernel("near_field.cl", "bound_tiles", cloud, listed=True)
+    budget = loop.budget(kernel)
 
-    def __init__(self, loop: RowLoop) -> None:
-        self._loop = loop
+    def packed(of: TileBounds) -> NDArray[np.float32]:
+        return np.column_stack((of.centers, of.sides, of.slopes, of.level))
 
-    def bounds(
-        self,
-        cloud: Cloud,
-        sides: list[tuple[TileBounds, TileBounds]],
-        k: float,
-        lists: Iterable[TileLists],
-    ) -> Iterator[BoundTiles]:
-        """Yield bounds of listed pairs of tiles, each the largest over the sides."""
-        n_rows, n_columns = (len(terms.level) for terms in sides[0])
-        work, width = self._loop.work, self._loop.constants.width
-        kernel = self._loop.kernel("near_field.cl", "bound_tiles", cloud, listed=True)
-        budget = self._loop.budget(kernel)
-
-        def packed(of: TileBounds) -> NDArray[np.float32]:
-            return np.column_stack((of.centers, of.sides, of.slopes, of.level))
-
-        buffers = [
-            (work.buffer(packed(rows)), work.buffer(packed(columns).T)) for rows, columns in sides
-        ]
-        for of_blocks, numbers, begins, lengths in lists:
-            rows_of = np.full(len(lengths), WIDTH_OF_GROUPS)
-            rows_of[-1] = min(
-                WIDTH_OF_GROUPS, n_rows - (of_blocks + len(lengths) - 1) * WIDTH_OF_GROUPS
+    buffers = [
+        (work.buffer(packed(rows)), work.buffer(packed(columns).T)) for rows, columns in sides
+    ]
+    for of_blocks, numbers, begins, lengths in lists:
+        rows_of = np.full(len(lengths), WIDTH_OF_GROUPS)
+        rows_of[-1] = min(
+            WIDTH_OF_GROUPS, n_rows - (of_blocks + len(lengths) - 1) * WIDTH_OF_GROUPS
+        )
+        done = np.concatenate(([0], np.cumsum(rows_of * lengths)))
+        first = 0
+        while first < len(lengths):
+            most = min(LAUNCH_BOUNDS, budget.pairs())
+            stop = int(np.searchsorted(done, done[first] + most, side="right")) - 1
+            stop = max(stop, first + 1)
+            own = slice(first, stop)
+            listed = slice(int(begins[first]), int((begins[own] + lengths[own]).max()))
+            table = np.stack(
+                (begins[own] - listed.start, lengths[own], done[own] - done[first]), axis=1
             )
-            done = np.concatenate(([0], np.cumsum(rows_of * lengths)))
-            first = 0
-            while first < len(lengths):
-                most = min(LAUNCH_BOUNDS, budget.pairs())
-                stop = int(np.searchsorted(done, done[first] + most, side="right")) - 1
-                stop = max(stop, first + 1)
-                own = slice(first, stop)
-                listed = slice(int(begins[first]), int((begins[own] + lengths[own]).max()))
-                table = np.stack(
-                    (begins[own] - listed.start, lengths[own], done[own] - done[first]), axis=1
-                )
-                block = of_blocks + first
-                count = int(done[stop] - done[first])
-                # Whole numbers of work-groups: the kernel leaves out what is beyond a list.
-                size = ENTRIES * -(-int(lengths[own].max()) // (ENTRIES * width)), len(table)
-                on_device = work.buffer(table, np.uint32), work.buffer(numbers[listed], np.uint32)
-                out, found = work.empty(4 * count), np.empty((len(sides), count), np.float32)
-                for side, values in zip(buffers, found, strict=True):
-                    with budget.measure(count):
-                        work.launch(
-                            kernel, size, None,
-                            *map(np.uint32, (n_rows, n_columns, WIDTH_OF_GROUPS, block)),
-                            np.float32(k), *dimension_argument(cloud), *side, *on_device, out,
-                            results=((values, out),),
-                        )  # fmt: skip
-                starts = np.concatenate(([0], np.cumsum(np.repeat(lengths[own], rows_of[own]))))
-                begin = block * WIDTH_OF_GROUPS
-                yield BoundTiles(
-                    range(begin, begin + len(starts) - 1), starts, found.max(axis=0),
-                    numbers[listed],
-                    starts[:-1] - np.repeat(table[:, 0], rows_of[own]),
-                )  # fmt: skip
-                first = stop
+            block = of_blocks + first
+            count = int(done[stop] - done[first])
+            # Whole numbers of work-groups: the kernel leaves out what is beyond a list.
+            size = ENTRIES * -(-int(lengths[own].max()) // (ENTRIES * width)), len(table)
+            on_device = work.buffer(table, np.uint32), work.buffer(numbers[listed], np.uint32)
+            out, found = work.empty(4 * count), np.empty((len(sides), count), np.float32)
+            for side, values in zip(buffers, found, strict=True):
+                with budget.measure(count):
+                    work.launch(
+                        kernel, size, None,
+                        *map(np.uint32, (n_rows, n_columns, WIDTH_OF_GROUPS, block)),
+                        np.float32(k), *dimension_argument(cloud), *side, *on_device, out,
+                        results=((values, out),),
+                    )  # fmt: skip
+            starts = np.concatenate(([0], np.cumsum(np.repeat(lengths[own], rows_of[own]))))
+            begin = block * WIDTH_OF_GROUPS
+            yield BoundTiles(
+                range(begin, begin + len(starts) - 1), starts, found.max(axis=0),
+                numbers[listed],
+                starts[:-1] - np.repeat(table[:, 0], rows_of[own]),
+            )  # fmt: skip
+            first = stop

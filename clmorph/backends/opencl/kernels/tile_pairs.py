@@ -83,8 +83,8 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
     """Return the columns' terms of B, for the sum or its largest term, from the sorted c_j."""
     c = _padded(values, cloud)
     present = c > 0.5 * SENTINEL
-    half = cloud.fits.half_squares
-    slopes = -cloud.fits.slopes(np.where(present, c / k - half, 0.0), present)
+    half = cloud.half_squares
+    slopes = -cloud.slopes(np.where(present, c / k - half, 0.0), present)
     flat = c - k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
     flat = np.where(present, flat, SENTINEL)  # the rest of |a - v|^2 / 2 cancels in B
     level = flat.max(axis=1)
@@ -97,8 +97,8 @@ def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
     """Return the rows' terms of B from the sorted R_i, -SENTINEL where none is needed."""
     r = _padded(values, cloud)
     present = r < -0.5 * SENTINEL
-    half = cloud.fits.half_squares
-    slopes = cloud.fits.slopes(np.where(present, r / k + half, 0.0), present)
+    half = cloud.half_squares
+    slopes = cloud.slopes(np.where(present, r / k + half, 0.0), present)
     flat = r + k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
     lowest = np.where(present, flat, -SENTINEL).min(axis=1)
     return _bounds(cloud, slopes, np.maximum(-lowest, SENTINEL))

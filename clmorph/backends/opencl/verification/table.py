@@ -7,14 +7,9 @@ from typing import Any
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.build.variants import KERNELS, Variant, all_variants
 from clmorph.backends.opencl.devices.verdicts import WRONG
-from clmorph.backends.opencl.verification import (  # noqa: F401 (each adds its rows)
-    fields,
-    iterations,
-    layers,
-    plans,
-    splats,
-    sums,
-)
+
+# Each adds its rows to the table.
+from clmorph.backends.opencl.verification import fields, iterations, layers, plans, splats, sums  # noqa: F401
 from clmorph.backends.opencl.verification.bench import DIMENSION, TABLE, Bench, Cloud
 from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS, Finding, words_of
 from clmorph.errors import ClmorphError
