@@ -20,8 +20,15 @@ class MultiDevice:
         self.members = list(members)
         self.primary = self.members[0]
         self.description = " + ".join(member.description for member in members)
-        self.memory_bytes = _least_memory(members)
-        self.shares_host_memory = any(member.shares_host_memory for member in members)
+        # Those in the host's memory have equal parts of it.
+        on_host = sum(member.shares_host_memory for member in members)
+        limits = [
+            member.memory_bytes // (on_host if member.shares_host_memory else 1)
+            for member in members
+            if member.memory_bytes is not None
+        ]
+        self.memory_bytes = min(limits, default=None)
+        self.shares_host_memory = on_host > 0
 
     def __getattr__(self, name: str) -> Any:
         if name in ("primary", "members"):  # not set yet, as in a copy
@@ -113,14 +120,3 @@ def turns(operations: Operations, count: int) -> list[int]:
         chosen.append(int(np.argmax(owed)))
         owed[chosen[-1]] -= 1.0
     return chosen
-
-
-def _least_memory(members: Sequence[Operations]) -> int | None:
-    """Return what each device has of memory, parts of the host's if there; None for no limit."""
-    on_host = sum(member.shares_host_memory for member in members)
-    limits = [
-        member.memory_bytes // (on_host if member.shares_host_memory else 1)
-        for member in members
-        if member.memory_bytes is not None
-    ]
-    return min(limits, default=None)

@@ -16,7 +16,7 @@ from dataclasses import asdict
 import numpy as np
 import pyopencl as cl
 import pytest
-from conftest import TESTED, USABLE, found_anew
+from conftest import TESTED, found_anew
 
 import clmorph
 from clmorph import DeviceError, InputError
@@ -27,7 +27,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import runtimes, trial, verdicts
-from clmorph.backends.opencl.devices.find import choose_device, find_devices
+from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import PlanSizeError
 from clmorph.images import color as colors
@@ -424,16 +424,6 @@ def test_out_of_gamut_colors_are_clipped_as_before(rng):
         expected = lab2rgb(lab.reshape(-1, 1, 3)).reshape(-1, 3)
     actual = colors.from_space(lab / colors._scale("lab"), "lab")
     np.testing.assert_allclose(actual, np.clip(expected, 0, 1), rtol=0, atol=1e-7)
-
-
-@pytest.mark.skipif(runtimes.intel_runtime() is None, reason="Intel's runtime is not installed")
-def test_pyopencl_ctx_names_a_runtime_from_pip(monkeypatch):
-    found = next((device for device in USABLE if "Intel" in device.platform), None)
-    if found is None:
-        pytest.skip("Intel's runtime is not usable")
-    for value in (found.index, found.index.partition(":")[0], "intel"):
-        monkeypatch.setenv("PYOPENCL_CTX", value)
-        assert choose_device("auto").platform == found.platform
 
 
 # --- forks, and the end of a process ----------------------------------------------------

@@ -1,7 +1,6 @@
 """Random and degenerate clouds, and pictures."""
 
 import numpy as np
-import pyopencl as cl
 from scipy.ndimage import gaussian_filter
 
 
@@ -102,13 +101,3 @@ def smooth(rng, shape, width=3):
     """A random smooth picture, from 0 to 1."""
     found = gaussian_filter(rng.random((*shape, 3)), (width, width, 0))
     return (found - found.min()) / np.ptp(found)
-
-
-def column_masks(operations, near):
-    """Return the masks of near pairs of tiles: a (pairs, groups, words) array of uint64."""
-    constants = operations.constants
-    groups, words = constants.tile // constants.group_rows, -(-constants.tile // 64)
-    masks = np.empty((len(near.pairs.tiles), groups, words), np.uint64)
-    for part, buffer in near.pairs.masks:
-        cl.enqueue_copy(operations.queue, masks[near.pairs.section(part)], buffer)
-    return masks

@@ -40,8 +40,8 @@ def _operations_in(given: Any) -> OpenCLOperations:
         return opened(given)
     key = type(given).__name__, given.int_ptr
     with _lock:
-        # An object that was released here may have the address of a new one.
-        _kept[:] = [each for each in _kept if not each.is_abandoned()]
+        # Those to which the host program refers no more; new ones may have their addresses.
+        _kept[:] = [each for each in _kept if each.references() > _ALONE]
         found = _alive.get(key)
         if found is None:
             found = _alive[key] = _made(given)
@@ -82,10 +82,6 @@ class _Kept:
 
     def references(self) -> int:
         return sys.getrefcount(self.given)
-
-    def is_abandoned(self) -> bool:
-        """Return whether the host program refers to the object no more."""
-        return self.references() <= _ALONE
 
 
 #: The references that are counted if a `_Kept` alone refers to its object.

@@ -41,7 +41,9 @@ def build(
     """Build a kernel file for a device of a context, or raise a ProgramError; binaries are kept."""
     options = build_options(constants)
     device = device or context.devices[0]
-    file = None if is_uncached() else f"kernels/{build_key(device, name, constants)}.bin"
+    if is_uncached():
+        return cl.Program(_from_source(context, device, name, options))
+    file = f"kernels/{build_key(device, name, constants)}.bin"
     program = _from_binary(context, device, file, options)
     if program is None:
         program = _from_source(context, device, name, options)
@@ -145,12 +147,12 @@ def _digest(file: str, binary: bytes) -> bytes:
 
 
 def _from_binary(
-    context: cl.Context, device: cl.Device, file: str | None, options: list[str]
+    context: cl.Context, device: cl.Device, file: str, options: list[str]
 ) -> "cl._Program | None":
     """Load a cached build; return None if it is missing, damaged, or rejected by the driver."""
-    content = read_cached(file) if file else b""
+    content = read_cached(file)
     digest, binary = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-    if file is None or not binary or _digest(file, binary) != digest:
+    if not binary or _digest(file, binary) != digest:
         return None
     try:
         program = cl._Program(context, [device], [binary])
@@ -160,10 +162,8 @@ def _from_binary(
     return program
 
 
-def _keep_binary(program: "cl._Program", file: str | None) -> None:
+def _keep_binary(program: "cl._Program", file: str) -> None:
     """Store a build in the cache, if the driver returns its binary and the folder is writable."""
-    if file is None:
-        return
     try:
         # In a context of several devices, those that the program was not built for have none.
         binary = next(filter(None, program.get_info(cl.program_info.BINARIES)), b"")

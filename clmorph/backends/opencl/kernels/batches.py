@@ -41,10 +41,6 @@ class Batch(NamedTuple):
         result[self.cloud.order] = values
         return result
 
-    def tile_numbers(self, problems: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the tiles of some problems, problem after problem."""
-        return runs(self.first_tiles[problems], self.tiles[problems])
-
 
 def runs(firsts: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the concatenation of runs of consecutive numbers."""
@@ -94,7 +90,7 @@ class BatchStore:
     def take_batch(self, batch: Batch, problems: NDArray[np.int64]) -> Batch:
         """Return a batch of some clouds of a batch."""
         cloud, size = batch.cloud, self._loop.constants.tile
-        tiles = batch.tile_numbers(problems)
+        tiles = runs(batch.first_tiles[problems], batch.tiles[problems])
         places = (tiles[:, None] * size + np.arange(size)).ravel()
         counts = batch.counts[problems]
         before, after = np.cumsum(batch.counts) - batch.counts, np.cumsum(counts) - counts

@@ -2,7 +2,6 @@
 
 import functools
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -11,23 +10,12 @@ from numpy.typing import NDArray
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.candidates import possible_pairs
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
-from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
+from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64, PlanRows, PlanTerms
 
 #: The number of pairs of points from which rows of plans are searched by lists of tiles.
 LISTED_FROM = 1 << 27
-
-
-class Section(NamedTuple):
-    """Some row tiles of a plan, and the arguments of the kernels that find the kept pairs there."""
-
-    plan: PlanTerms
-    precise: bool
-    within: range
-    pairs: TilePairs | None  #: pairs of tiles to look at; None for all
-    exponents: Exponents
-    buffers: tuple[cl.Buffer, cl.Buffer, cl.Buffer]  #: row offsets, thresholds of rows and columns
 
 
 class PlanRowReductions:
@@ -48,29 +36,15 @@ class PlanRowReductions:
         """Return how many pairs of each row are kept, (N,), or of some if above `most` in all."""
         rows, tile = plan.rows, self._loop.constants.tile
         counts, total = np.zeros(rows.stride, np.int32), 0
-        for section in self.sections(plan, precise):
-            for part, launch in self.launches("count_plan_rows", section):
-                out = self._loop.work.empty(len(part) * tile * 4)
-                launch(out)
-                found = counts[part.start * tile : part.stop * tile]
-                cl.enqueue_copy(self._loop.work.queue, found, out)
-                total += int(found.sum(dtype=np.int64))
-                if total > most:
-                    return unsort(rows, counts[: len(rows)].astype(np.int64))
+        for part, launch in self.launches("count_plan_rows", plan, precise):
+            out = self._loop.work.empty(len(part) * tile * 4)
+            launch(out)
+            found = counts[part.start * tile : part.stop * tile]
+            cl.enqueue_copy(self._loop.work.queue, found, out)
+            total += int(found.sum(dtype=np.int64))
+            if total > most:
+                break
         return unsort(rows, counts[: len(rows)].astype(np.int64))
-
-    def launches(
-        self, name: str, section: Section, counts: NDArray[np.int64] | None = None
-    ) -> Iterator[tuple[range, Callable[..., None]]]:
-        """Yield row tiles, and what launches a kernel there; it writes the sorted rows' counts."""
-        plan, precise, within, pairs, exponents, buffers = section
-        clouds, loop = (plan.rows, plan.columns), self._loop
-        kernel = loop.kernel("plan_rows.cl", name, plan.rows, precise, pairs is not None)
-        for part in loop.parts(kernel, *clouds, counts, pairs, within):
-            yield part, functools.partial(
-                loop.launch, kernel, *clouds, exponents, part, *buffers, precise=precise,
-                pairs=pairs,
-            )  # fmt: skip
 
     def plan_rows(
         self, plan: PlanTerms, precise: bool = False, counts: NDArray[np.int64] | None = None
@@ -83,41 +57,51 @@ class PlanRowReductions:
         sorted_counts = np.zeros(rows.stride, np.int64)
         sorted_counts[:n] = counts[rows.order]
         indices, mass = [], []
-        for section in self.sections(plan, precise):
-            for part, launch in self.launches("fill_plan_rows", section, sorted_counts):
-                in_part = sorted_counts[part.start * tile : part.stop * tile]
-                ends = np.cumsum(in_part)
-                kept = int(ends[-1])
-                buffers = work.empty(4 * kept), work.empty(4 * kept)
-                launch(work.buffer(ends - in_part, np.uint32), np.uint32(1), *buffers)
-                found = np.empty(kept, np.int32)
-                log2_masses = np.empty(kept, np.float32)
-                if kept:
-                    cl.enqueue_copy(work.queue, found, buffers[0])
-                    cl.enqueue_copy(work.queue, log2_masses, buffers[1])
-                indices.append(columns.order[found].astype(np.int32))
-                mass.append(np.exp2(log2_masses.astype(float)))
+        for part, launch in self.launches("fill_plan_rows", plan, precise, sorted_counts):
+            in_part = sorted_counts[part.start * tile : part.stop * tile]
+            ends = np.cumsum(in_part)
+            kept = int(ends[-1])
+            buffers = work.empty(4 * kept), work.empty(4 * kept)
+            launch(work.buffer(ends - in_part, np.uint32), np.uint32(1), *buffers)
+            found = np.empty(kept, np.int32)
+            log2_masses = np.empty(kept, np.float32)
+            if kept:
+                cl.enqueue_copy(work.queue, found, buffers[0])
+                cl.enqueue_copy(work.queue, log2_masses, buffers[1])
+            indices.append(columns.order[found].astype(np.int32))
+            mass.append(np.exp2(log2_masses.astype(float)))
         return _unsort_rows(
             rows, len(columns), sorted_counts[:n], np.concatenate(indices), np.concatenate(mass)
         )
 
-    def sections(self, plan: PlanTerms, precise: bool = False) -> Iterator[Section]:
-        """Yield parts of the row tiles with the arguments of the kernels that find kept pairs."""
-        rows, columns = plan.rows, plan.columns
+    def launches(
+        self,
+        name: str,
+        plan: PlanTerms,
+        precise: bool = False,
+        counts: NDArray[np.int64] | None = None,
+    ) -> Iterator[tuple[range, Callable[..., None]]]:
+        """Yield row tiles, and what launches a kernel there; it writes the sorted rows' counts."""
+        rows, columns, loop = plan.rows, plan.columns, self._loop
         by_row = _log2_threshold(plan.row_thresholds)[rows.order]
         by_column = _log2_threshold(plan.column_thresholds)[columns.order]
         thresholds = (
-            self._loop.work.buffer(pad(by_row, rows.stride, -SENTINEL)),
-            self._loop.work.buffer(pad(by_column, columns.stride, -SENTINEL)),
+            loop.work.buffer(pad(by_row, rows.stride, -SENTINEL)),
+            loop.work.buffer(pad(by_column, columns.stride, -SENTINEL)),
         )
         for within, pairs in self._possible_pairs(plan):
-            exponents = self._loop.exponents(rows, columns, plan.g, plan.epsilon, pairs, within)
+            exponents = loop.exponents(rows, columns, plan.g, plan.epsilon, pairs, within)
             # log2 pi_ij = e_ij + offsets_i; a row without mass keeps no pair.
-            offsets = self._loop.row_offsets(rows, exponents)
+            offsets = loop.row_offsets(rows, exponents)
             offsets += plan.f[rows.order] * exponents.k + rows.log2_weights
             offsets[rows.log2_weights <= SENTINEL] = SENTINEL
-            own = self._loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
-            yield Section(plan, precise, within, pairs, exponents, (own, *thresholds))
+            own = loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
+            kernel = loop.kernel("plan_rows.cl", name, rows, precise, pairs is not None)
+            for part in loop.parts(kernel, rows, columns, counts, pairs, within):
+                yield part, functools.partial(
+                    loop.launch, kernel, rows, columns, exponents, part, own, *thresholds,
+                    precise=precise, pairs=pairs,
+                )  # fmt: skip
 
     def _possible_pairs(self, plan: PlanTerms) -> Iterator[tuple[range, TilePairs | None]]:
         """Yield row tiles, and all pairs of tiles that bounds do not exclude there."""

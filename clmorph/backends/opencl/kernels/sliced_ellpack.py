@@ -90,23 +90,20 @@ class SlicedEllpack:
         ordered = np.zeros(rows.stride, np.int64)
         ordered[: len(rows)] = counts[rows.order]
         parts, clear = [], self._programs.kernel("sliced_ellpack.cl", "clear_stored")
-        for section in self._plan_rows.sections(plan):
-            for part, launch in self._plan_rows.launches("fill_plan_rows", section, ordered):
-                in_part = slice(part.start * tile, part.stop * tile)
-                order = _by_length(ordered[in_part])
-                longest = ordered[in_part][order].reshape(-1, side).max(axis=1)
-                slots = -(-longest // STORED_UNROLL) * STORED_UNROLL
-                starts = np.concatenate(([0], np.cumsum(side * slots)))
-                first = np.empty(len(order), np.int64)
-                first[order] = (starts[:-1, None] + np.arange(side)).ravel()
-                size = max(1, int(starts[-1]))
-                buffers = self._work.empty(4 * size), self._work.empty(4 * size)
-                self._work.launch(clear, (size,), None, *buffers)
-                launch(self._work.buffer(first, np.uint32), np.uint32(side), *buffers)
-                made = [
-                    self._work.buffer(each, np.uint32) for each in (starts, in_part.start + order)
-                ]
-                parts.append(Part(len(order), made[0], *buffers, made[1]))
+        for part, launch in self._plan_rows.launches("fill_plan_rows", plan, counts=ordered):
+            in_part = slice(part.start * tile, part.stop * tile)
+            order = _by_length(ordered[in_part])
+            longest = ordered[in_part][order].reshape(-1, side).max(axis=1)
+            slots = -(-longest // STORED_UNROLL) * STORED_UNROLL
+            starts = np.concatenate(([0], np.cumsum(side * slots)))
+            first = np.empty(len(order), np.int64)
+            first[order] = (starts[:-1, None] + np.arange(side)).ravel()
+            size = max(1, int(starts[-1]))
+            buffers = self._work.empty(4 * size), self._work.empty(4 * size)
+            self._work.launch(clear, (size,), None, *buffers)
+            launch(self._work.buffer(first, np.uint32), np.uint32(side), *buffers)
+            made = [self._work.buffer(each, np.uint32) for each in (starts, in_part.start + order)]
+            parts.append(Part(len(order), made[0], *buffers, made[1]))
         return Side(rows, plan.columns, parts)
 
     def sum_stored(

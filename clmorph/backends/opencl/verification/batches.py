@@ -20,7 +20,9 @@ EPSILON = 0.004
 
 def _problems(bench: Bench, dimension: int) -> list[Clouds]:
     return [
-        Clouds(bench, clustered(dimension, n, 3 * k), clustered(dimension, m, 3 * k + 1), EPSILON)
+        Clouds(
+            *bench.both, clustered(dimension, n, 3 * k), clustered(dimension, m, 3 * k + 1), EPSILON
+        )
         for k, (n, m) in enumerate(SIZES)
     ]
 

@@ -69,7 +69,7 @@ class Bench:
         """The pictures' clouds at blurs from large to small."""
         if self.pictures is None:
             return []
-        return [Clouds(self, *self.pictures, blur**2, f", blur {blur:g}") for blur in BLURS]
+        return [Clouds(*self.both, *self.pictures, blur**2, f", blur {blur:g}") for blur in BLURS]
 
     def clouds(
         self, dimension: int = 0, listed: bool = False, columns: int = LONG_ROW
@@ -81,7 +81,7 @@ class Bench:
         if dimension == SLICED_FROM:
             sizes[:1] = [(SLICES[0], 150, 331, ""), (SLICES[1], 70, 133, "")]
         own = [
-            Clouds(self, clustered(d, n, 2 * k + 1), clustered(d, m, 2 * k + 2),
+            Clouds(*self.both, clustered(d, n, 2 * k + 1), clustered(d, m, 2 * k + 2),
                    0.004, f", {d}D{name}")
             for k, (d, n, m, name) in enumerate(sizes[:-1] if listed else sizes)
         ]  # fmt: skip
@@ -125,22 +125,14 @@ def clustered(dimension: int, count: int, seed: int) -> Cloud:
 class Clouds:
     """Two clouds on a backend and in NumPy, with potentials."""
 
-    bench: Bench
+    operations: Any
+    #: NumPy's backend, with which `operations` are compared.
+    exact: Operations
     rows: Cloud
     columns: Cloud
     epsilon: float
     #: Empty, or with a comma before it.
     name: str = ""
-
-    @property
-    def operations(self) -> Any:
-        """The backend that is compared."""
-        return self.bench.operations
-
-    @property
-    def exact(self) -> Operations:
-        """NumPy's backend."""
-        return self.bench.exact
 
     @cached_property
     def ours(self) -> tuple[Any, Any]:

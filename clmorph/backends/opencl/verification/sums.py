@@ -162,7 +162,7 @@ def draws(bench: Bench, variant: Variant) -> Findings:
         # Of a few rows so many draws are compared that a single column's share shows.
         (points, weights), columns = bench.pictures
         rows = points[:4], weights[:4]
-        yield from _draws([Clouds(bench, rows, columns, 0.0025)], variant, 2000)
+        yield from _draws([Clouds(*bench.both, rows, columns, 0.0025)], variant, 2000)
 
 
 def _draws(cases: Iterable[Clouds], variant: Variant, count: int) -> Findings:

@@ -15,9 +15,9 @@ from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS
 from clmorph.errors import ClmorphError
 
 
-def check_program(operations: Any, variant: Variant) -> Iterator[Finding]:
+def check_program(bench: Bench, variant: Variant) -> Iterator[Finding]:
     """Compare the operations that use a program with NumPy."""
-    bench, some = Bench(operations), False
+    some = False
     for row in TABLE:
         if row.file == variant.file:
             for finding in row.run(bench, variant):
@@ -31,7 +31,7 @@ def first_failure(operations: Any, variant: Variant) -> str:
     if variant.is_optional:
         operations.programs.kernels(variant)  # else the host iterates, and nothing is checked
     try:
-        for finding in check_program(operations, variant):
+        for finding in check_program(Bench(operations), variant):
             if not finding.passed:
                 return f"{WRONG}{variant}: {finding}"
     except SIGNS_OF_WRONG_RESULTS as error:
