@@ -32,7 +32,6 @@ from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import PlanSizeError
 from clmorph.images import color as colors
 
-posix = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 WORKS = verdicts.Verdict(pairs_per_second=1.0)
 
 
@@ -80,38 +79,6 @@ def test_threads_share_one_backend(monkeypatch):
     assert clmorph.get_backend("another name") is answers[0]
 
 
-def let_probe_be(monkeypatch, folder, code):
-    """Let code stand for the probe; only what sleeps runs out of time."""
-    script = folder / "probe.py"
-    script.write_text(code)
-    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
-    # The others may start late on a busy machine.
-    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep(60)" in code else "60")
-
-
-@pytest.mark.parametrize(
-    ("body", "words", "lasting"),
-    [
-        ("import time; time.sleep(60)", "within 1 s", False),
-        pytest.param("import os; os.abort()", "crashed", True, marks=posix),
-        pytest.param(
-            "import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "killed", False, marks=posix
-        ),
-        ("import nothing_of_that_name", "status 1: ModuleNotFoundError", False),
-        (f"print({trial.LOADED!r}, flush=True); raise SystemExit(3)", "status 3", True),
-        ("print('noise')", "status 0", False),
-    ],
-)
-def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, words, lasting):
-    let_probe_be(monkeypatch, tmp_path, body)
-    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
-    verdict = trial.run_probe("0:0")
-    assert words in verdict.reason
-    verdicts.save("devices/key", verdict)
-    verdicts._known.clear()  # as in a new process
-    assert (verdicts.load("devices/key") is not None) == lasting
-
-
 @pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="starts a process as POSIX does")
 @pytest.mark.parametrize(
@@ -119,15 +86,17 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, words
 )
 def test_a_child_of_the_probe_does_not_hold_its_trial_up(monkeypatch, tmp_path, body, words):
     """A process that a driver starts keeps the probe's standard output open."""
-    child = [sys.executable, "-c", "import time; time.sleep(20)"]
-    let_probe_be(
-        monkeypatch, tmp_path,
+    child, script = [sys.executable, "-c", "import time; time.sleep(20)"], tmp_path / "probe.py"
+    script.write_text(
         "import os, subprocess, time\n"
         f"child = subprocess.Popen({child!r})\n"
         f"print({trial.LOADED!r}, flush=True)\n"
         f"print(child.pid, file=open({str(tmp_path / 'pid')!r}, 'w'), flush=True)\n"
-        f"{body}\n",
-    )  # fmt: skip
+        f"{body}\n"
+    )
+    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+    # One that ends may start late on a busy machine.
+    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
     verdict = trial.run_probe("0:0")
     os.kill(int((tmp_path / "pid").read_text()), 9)  # it fails if the child has ended, after 20 s
     assert words in verdict.reason

@@ -144,19 +144,11 @@ def test_quirks_come_after_tuning(device, fast_tile, monkeypatch):
     assert constants == choose_constants(device.device)
 
 
+TILES = [{"tile": value} for value in (7, "64", [], 64.0)]
+
+
 @pytest.mark.parametrize(
-    "entry",
-    [
-        "nonsense",
-        {"tile": 7},
-        {"tile": "64"},
-        {"unknown": 1},
-        {"group": 256, "tile": 32},
-        {"tile": []},
-        {"tile": 64.0},
-        {"width": True},
-        {},
-    ],
+    "entry", ["nonsense", {}, {"unknown": 1}, {"group": 256, "tile": 32}, {"width": True}, *TILES]
 )
 def test_a_damaged_record_is_ignored(device, entry):
     save_record(tuned_record._record(device.device), entry)
