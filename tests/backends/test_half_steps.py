@@ -142,9 +142,11 @@ def test_iterations_over_stored_pairs_leave_the_same_bytes(device):
 REFUSED = "refused: 1:1: error: no dominating alternative"
 
 
-@pytest.mark.parametrize("kind", ["one", "many", "stored"])
-def test_where_kernels_cannot_be_built_the_host_iterates(device, rng, monkeypatch, kind):
-    """A refused program costs only itself, and is told once."""
+@pytest.mark.parametrize("kind", ["one", "many", "stored", "levels"])
+def test_where_kernels_cannot_be_built_the_host_does_their_work(device, rng, monkeypatch, kind):
+    """A refused program of iterations, or of levels between tiles, costs only itself, told once."""
+    if kind == "levels" and not device.has_float64:
+        pytest.skip("its levels are the host's")
 
     def fresh():
         return OpenCLOperations(device.device, device.constants, verify=False)
@@ -155,6 +157,10 @@ def test_where_kernels_cannot_be_built_the_host_iterates(device, rng, monkeypatc
         if kind == "stored":
             case = Bench(backend).clouds(3)[0]
             return np.array([finding.passed for finding in iterate(case, 0, True)])
+        if kind == "levels":
+            backend.row_loop.device_levels = 0
+            cloud = backend.upload(clouds[0].points, clouds[0].weights)
+            return backend.softmin(cloud, cloud, np.zeros(60), 0.1)
         if kind == "one":
             return clmorph.sinkhorn(*clouds, blur=0.1, reach=0.5, backend=backend).g
         many = [[cloud, cloud] for cloud in clouds]
@@ -164,7 +170,7 @@ def test_where_kernels_cannot_be_built_the_host_iterates(device, rng, monkeypatc
     build, asked = program.build, []
 
     def refuse(context, name, *more):
-        if name in OPTIONAL:
+        if name in (*OPTIONAL, "tile_levels.cl"):
             asked.append(name)
             raise records.ProgramError(REFUSED)
         return build(context, name, *more)

@@ -469,13 +469,11 @@ def test_arrays_of_other_libraries(clouds, library, made):
     assert np.array_equal(solved(given, "numpy").f, solved(rounded, "numpy").f)
 
 
-def test_dlpack_on_a_device_is_refused():
+def test_dlpack_that_cannot_be_read_is_refused():
     for kind in (2, 4, 8, 10):
         with pytest.raises(InputError, match=rf"^points is in [^\n]*type {kind} [^\n]*host[^\n]*$"):
             as_array("points", OnlyDLPack(np.zeros(3), kind))
 
-
-def test_dlpack_that_fails_is_refused():
     class Broken(OnlyDLPack):
         def __dlpack__(self, **options):
             raise BufferError("it is gone")

@@ -428,13 +428,20 @@ def _splats(rng, name, operations):
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("name", SPLATS)
-def test_bins_are_exact(variant, rng, name, shape):
+def test_bins_and_nearest_pixels(variant, rng, name, shape):
+    """Bins are exact, and deposits are, but for rounding and squares of tiny masses."""
     splats, exact = _splats(rng, name, (variant, REFERENCE))
     assert variant.bin_size == REFERENCE.bin_size
     got, want = variant.bin_splats(splats, shape, 2), REFERENCE.bin_splats(exact, shape, 2)
     assert got.shape == want.shape
     assert np.array_equal(got.starts, want.starts)
     assert np.array_equal(got.order, want.order)
+    got, want = variant.deposit(splats, shape), REFERENCE.deposit(exact, shape)
+    n, largest = len(exact.weights), exact.weights.max()
+    relative = splat_tolerance(n, CHUNKS["gather"])
+    for values, wanted, unit in zip(got, want, (largest, largest**2), strict=True):
+        assert values.shape == shape
+        assert np.all(np.abs(values - wanted) <= relative * wanted + n * unit * 1e-30)
 
 
 @pytest.fixture(params=["gather", "moments"])
@@ -551,21 +558,6 @@ def test_offsets_add_to_the_cost(variant, rng):
         projected = backend.barycentric_projection(rows, columns, g, epsilon)
         assert np.abs(projected[0] - want).max() <= tolerance * epsilon
         assert np.abs(projected[1] - share @ y).max() <= 10 * tolerance
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("name", SPLATS)
-def test_deposit(variant, rng, name, shape):
-    splats, exact = _splats(rng, name, (variant, REFERENCE))
-    got, want = variant.deposit(splats, shape), REFERENCE.deposit(exact, shape)
-    largest = exact.weights.max()
-    for values, wanted, unit in zip(got, want, (largest, largest**2), strict=True):
-        assert values.shape == shape
-        floor = len(exact.weights) * unit * 1e-30  # squares of tiny masses underflow
-        assert np.all(
-            np.abs(values - wanted)
-            <= splat_tolerance(len(exact.weights), CHUNKS["gather"]) * wanted + floor
-        )
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.2])

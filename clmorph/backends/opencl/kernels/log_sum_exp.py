@@ -128,7 +128,7 @@ class LogSumExp:
         if pairs is None:
             exponents = loop.dense_exponents(rows, columns, potential, epsilon, precise)
         else:
-            exponents = loop.exponents(rows, columns, potential, epsilon, pairs, precise=precise)
+            exponents = loop.exponents(rows, columns, potential, epsilon, precise, pairs)
         in_float32 = []
         if float32 is not None:
             levels = np.empty(len(float32.pairs.tiles), np.float32)
@@ -137,16 +137,15 @@ class LogSumExp:
         stacks = loop.constants.stacks(rows.centers.shape[1], precise)
         shares = loop.column_shares(rows, columns, pairs, stacks)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
-        for part, masks in loop.masked_parts(kernel, rows, columns, pairs, shares):
+        for part, masks in loop.masked_parts(kernel, exponents, shares):
             n_rows = len(part) * tile
             found = np.empty((shares, n_rows), np.float32)
             # The buffer holds the sums and the rounding errors of their nearest float32.
             planes = np.empty((2 if bounded else 1, shares, n_rows), np.float32)
             buffers = loop.work.empty(found.nbytes), loop.work.empty(planes.nbytes)
             loop.launch(
-                kernel, rows, columns, exponents, part, *masks, *in_float32, np.uint32(n_rows),
-                *buffers, shares=shares, precise=precise, pairs=pairs,
-                results=tuple(zip((found, planes), buffers, strict=True)),
+                kernel, exponents, part, *masks, *in_float32, np.uint32(n_rows), *buffers,
+                shares=shares, results=tuple(zip((found, planes), buffers, strict=True)),
             )  # fmt: skip
             section = slice(part.start * tile, part.stop * tile)
             if shares == 1:
@@ -157,7 +156,7 @@ class LogSumExp:
             maxima[section] = m
             sums[section] = np.sum(of_shares * np.exp2(found - m), axis=0)
         n = len(rows)
-        return maxima[:n], sums[:n], loop.row_offsets(rows, exponents)
+        return maxima[:n], sums[:n], loop.row_offsets(exponents)
 
 
 def _pairs_between(

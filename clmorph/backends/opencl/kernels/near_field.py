@@ -59,7 +59,7 @@ class NearField:
         guess = -k * (softmin[rows.order] - rows.offsets)
         values = np.maximum(values, SENTINEL)
         # The level of each row tile is set by the pairs that bounds do not exclude.
-        exponents = self._loop.unleveled_exponents(rows, columns, potential, epsilon)
+        exponents = self._loop.unleveled_exponents(rows, columns, potential, epsilon, False)
         left, kept, masks = np.empty(len(rows.centers)), [], []
         farthest, farthest_kept = 0.0, 0.0
         bounds = row_bounds(rows, guess, k)
@@ -77,7 +77,7 @@ class NearField:
             radii = rows.radii[part.start : part.stop] + columns.radii.max()
             farthest = max(farthest, _largest_cost(own, radii))
             marks, marked = self._marked(
-                rows, columns, exponents, pairs, part, limits, np.log2(threshold), slopes, boxes
+                exponents, pairs, part, limits, np.log2(threshold), slopes, boxes
             )
             of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
             _complete(marks, marked, of_groups, starts, pairs.distances, tile)
@@ -113,8 +113,8 @@ class NearField:
         )
 
     def _marked(
-        self, rows: Cloud, columns: Cloud, terms: Exponents, pairs: TilePairs, part: range,
-        limits: Float64, log2_threshold: Float64, slopes: cl.Buffer, boxes: ColumnBoxes,
+        self, terms: Exponents, pairs: TilePairs, part: range, limits: Float64,
+        log2_threshold: Float64, slopes: cl.Buffer, boxes: ColumnBoxes,
     ) -> tuple[NDArray[np.uint64], NDArray[np.uint16]]:  # fmt: skip
         """Return masks and counts of the columns above each row tile's threshold (log2).
 
@@ -122,8 +122,8 @@ class NearField:
         tiles, D), k times those of `row_bounds`.
         """
         loop, tile = self._loop, self._loop.constants.tile
-        kernel = loop.kernel("near_field.cl", "mark_columns", rows, listed=True)
-        exponents = loop.with_levels(terms, rows, columns, pairs, part, precise=False)
+        kernel = loop.kernel("near_field.cl", "mark_columns", terms.rows, listed=True)
+        exponents = loop.with_levels(terms, pairs, part)
         of_tiles = log2_threshold - exponents.row_level[part.start : part.stop]
         own = limits[part.start * tile : part.stop * tile]
         own = own + np.repeat(of_tiles, tile)[: len(own)]
@@ -132,12 +132,12 @@ class NearField:
         shape = len(pairs.tiles), tile // loop.constants.group_rows, -(-tile // 64)
         masks, counts = np.empty(shape, np.uint64), np.empty(shape[:2], np.uint16)
         found = tuple((each, loop.work.empty(each.nbytes)) for each in (counts, masks))
-        for launch in loop.parts(kernel, rows, columns, pairs=pairs, within=part):
+        for launch in loop.parts(kernel, exponents, within=part):
             own = limits[(launch.start - part.start) * tile : (launch.stop - part.start) * tile]
             loop.launch(
-                kernel, rows, columns, exponents, launch, np.uint32(self.many_eighths),
-                loop.work.buffer(own), slopes, *boxes, *(buffer for _, buffer in found),
-                pairs=pairs, results=found if launch.stop == part.stop else (),
+                kernel, exponents, launch, np.uint32(self.many_eighths), loop.work.buffer(own),
+                slopes, *boxes, *(buffer for _, buffer in found),
+                results=found if launch.stop == part.stop else (),
             )  # fmt: skip
         return masks, counts
 

@@ -90,18 +90,18 @@ class PlanRowReductions:
             loop.work.buffer(pad(by_column, columns.stride, -SENTINEL)),
         )
         for within, pairs in self._possible_pairs(plan):
-            exponents = loop.exponents(rows, columns, plan.g, plan.epsilon, pairs, within)
+            exponents = loop.exponents(rows, columns, plan.g, plan.epsilon, precise, pairs, within)
             # log2 pi_ij = e_ij + offsets_i; a row without mass keeps no pair.
-            offsets = loop.row_offsets(rows, exponents)
+            offsets = loop.row_offsets(exponents)
             offsets += plan.f[rows.order] * exponents.k + rows.log2_weights
             offsets[rows.log2_weights <= SENTINEL] = SENTINEL
             own = loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
             kernel = loop.kernel("plan_rows.cl", name, rows, precise, pairs is not None)
-            for part in loop.parts(kernel, rows, columns, counts, pairs, within):
-                yield part, functools.partial(
-                    loop.launch, kernel, rows, columns, exponents, part, own, *thresholds,
-                    precise=precise, pairs=pairs,
-                )  # fmt: skip
+            for part in loop.parts(kernel, exponents, counts, within):
+                yield (
+                    part,
+                    functools.partial(loop.launch, kernel, exponents, part, own, *thresholds),
+                )
 
     def _possible_pairs(self, plan: PlanTerms) -> Iterator[tuple[range, TilePairs | None]]:
         """Yield row tiles, and all pairs of tiles that bounds do not exclude there."""

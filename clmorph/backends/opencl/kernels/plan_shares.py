@@ -39,18 +39,17 @@ class PlanShares:
         kernel = loop.kernel(
             "barycentric_projection.cl", "barycentric_projection", rows, precise, pairs is not None
         )
-        exponents = loop.exponents(rows, columns, g, epsilon, pairs, precise=precise)
+        exponents = loop.exponents(rows, columns, g, epsilon, precise, pairs)
         shares = loop.column_shares(rows, columns, pairs)
         dimension, n = rows.centers.shape[1], len(rows)
         softmin, mean = np.empty(rows.stride), np.empty((rows.stride, dimension))
-        for part in loop.parts(kernel, rows, columns, pairs=pairs, shares=shares):
+        for part in loop.parts(kernel, exponents, shares=shares):
             n_rows = len(part) * tile
             found = np.empty((shares, n_rows), np.float32)
             sums = np.empty((1 + dimension, shares, n_rows), np.float32)
             buffers = loop.work.empty(found.nbytes), loop.work.empty(sums.nbytes)
             loop.launch(
-                kernel, rows, columns, exponents, part, np.uint32(n_rows), *buffers,
-                shares=shares, precise=precise, pairs=pairs,
+                kernel, exponents, part, np.uint32(n_rows), *buffers, shares=shares,
                 results=tuple(zip((found, sums), buffers, strict=True)),
             )  # fmt: skip
             maxima = found.max(axis=0).astype(float)
@@ -60,7 +59,7 @@ class PlanShares:
             with np.errstate(invalid="ignore", divide="ignore"):
                 softmin[section] = maxima + np.log2(total[0])
                 mean[section] = (total[1:] / total[0]).T / exponents.k
-        softmin[:n] += loop.row_offsets(rows, exponents)
+        softmin[:n] += loop.row_offsets(exponents)
         mean[:n] += np.repeat(rows.centers, tile, axis=0)[:n]
         return unsort(rows, -epsilon / LOG2_E * softmin[:n]), unsort(rows, mean[:n])
 
@@ -143,19 +142,16 @@ class PlanShares:
         """Yield sorted rows, and what launches a kernel over them, from its number of items on."""
         loop, listed, pairs = self._loop, near is not None, None if near is None else near.pairs
         kernel = loop.kernel("plan_shares.cl", name, rows, precise, listed, masked=listed)
-        exponents = loop.exponents(rows, columns, g, epsilon, pairs)
+        exponents = loop.exponents(rows, columns, g, epsilon, precise, pairs)
         # Their sum with e_ij is log2 of pi_ij / (pi 1)_i.
-        offsets = loop.row_offsets(rows, exponents)
+        offsets = loop.row_offsets(exponents)
         offsets += exponents.k * softmin[rows.order]
         on_device = loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
 
         def launch(part: range, masks: list[Any], count: int, *arguments: Any) -> None:
-            loop.launch(
-                kernel, rows, columns, exponents, part, *masks, np.uint32(count), on_device,
-                *arguments, precise=precise, pairs=pairs,
-            )  # fmt: skip
+            loop.launch(kernel, exponents, part, *masks, np.uint32(count), on_device, *arguments)
 
         tile = loop.constants.tile
-        for part, masks in loop.masked_parts(kernel, rows, columns, pairs):
+        for part, masks in loop.masked_parts(kernel, exponents):
             section = slice(part.start * tile, part.stop * tile)
             yield section, functools.partial(launch, part, masks)

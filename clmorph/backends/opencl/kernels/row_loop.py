@@ -32,6 +32,10 @@ DEVICE_LEVELS = 1 << 13
 class Exponents(NamedTuple):
     """The terms of the exponents e_ij of two clouds, see ``cl_kernels/row_loop.cl``."""
 
+    rows: Cloud
+    columns: Cloud
+    precise: bool  #: whether numbers on the device have their rounding errors beside them
+    pairs: TilePairs | None  #: the pairs of tiles that are summed; None for all
     column_logits: cl.Buffer  #: (2, stride) float32: k g + log2 b, less its tile's largest
     tile_max: Float64  #: (column tiles,) the largest k g + log2 b of each tile
     row_level: Float64  #: (row tiles,) the level that the rows' exponents are measured from
@@ -75,61 +79,52 @@ class RowLoop:
                 self._shapes[built.int_ptr] = self.constants.width * stacks * blocks, shape
         return self._kernels[variant][name]
 
-    def column_logits(
-        self, columns: Cloud, potential: Float64, k: float, precise: bool = True
-    ) -> tuple[cl.Buffer, Float64]:
-        """Split k g + log2 b into each tile's maximum (float64) and the rest (on the device)."""
-        values = pad(
-            (potential[columns.order] - columns.offsets) * k + columns.log2_weights,
-            columns.stride,
-            SENTINEL,
-        ).reshape(-1, self.constants.tile)
-        values[values < 0.5 * SENTINEL] = SENTINEL
-        tile_max = values.max(axis=1)
-        logits = np.where(values == SENTINEL, SENTINEL, values - tile_max[:, None])
-        return self.work.buffer(split(logits) if precise else logits), tile_max
-
     def exponents(
         self,
         rows: Cloud,
         columns: Cloud,
         potential: Float64,
         epsilon: float,
+        precise: bool,
         pairs: TilePairs | None = None,
         within: range | None = None,
-        precise: bool = True,
     ) -> Exponents:
         """Return the terms of exponents of the row tiles `within`, over all or listed pairs."""
         found = self.unleveled_exponents(rows, columns, potential, epsilon, precise)
-        _, tile_max, row_level, k, *_ = found
+        row_level = found.row_level
         within = within or range(len(row_level))
         if pairs is not None:
-            return self.with_levels(found, rows, columns, pairs, within, precise)
-        step = max(1, (1 << 22) // max(1, len(tile_max)))
+            return self.with_levels(found, pairs, within)
+        step = max(1, (1 << 22) // max(1, len(found.tile_max)))
         for first in range(within.start, within.stop, step):
-            block = range(first, min(first + step, within.stop))
-            section = slice(block.start, block.stop)
-            levels = _levels(rows.centers[section], columns.centers, tile_max, k)
+            section = slice(first, min(first + step, within.stop))
+            levels = _levels(found, section)
             row_level[section] = levels.max(axis=1)
             if levels.size <= KEPT_LEVELS and len(levels) == len(row_level):
                 found = found._replace(levels=levels)
         return found
 
     def unleveled_exponents(
-        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool = True
+        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool
     ) -> Exponents:
         """Return the terms of the rows' exponents without levels, for `with_levels`."""
         k = LOG2_E / epsilon
-        logits, tile_max = self.column_logits(columns, potential, k, precise)
-        return Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
+        values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
+        values = pad(values, columns.stride, SENTINEL).reshape(-1, self.constants.tile)
+        values[values < 0.5 * SENTINEL] = SENTINEL
+        tile_max = values.max(axis=1)
+        logits = np.where(values == SENTINEL, SENTINEL, values - tile_max[:, None])
+        on_device = self.work.buffer(split(logits) if precise else logits)
+        row_level = np.zeros(len(rows.centers))
+        return Exponents(rows, columns, precise, None, on_device, tile_max, row_level, k)
 
     def dense_exponents(
-        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool = True
+        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool
     ) -> Exponents:
         """Return the terms for a dense sum, whose levels `launch` may have the device form."""
         many = len(rows.centers) * len(columns.centers) >= self.device_levels
         if not many or not self._forms_levels():
-            return self.exponents(rows, columns, potential, epsilon, precise=precise)
+            return self.exponents(rows, columns, potential, epsilon, precise)
         found = self.unleveled_exponents(rows, columns, potential, epsilon, precise)
         return found._replace(tile_max_buffer=self.work.buffer(found.tile_max, np.float64))
 
@@ -144,11 +139,9 @@ class RowLoop:
                 self._kernels[variant] = {}
         return bool(self._kernels.get(variant))
 
-    def _levels_on_device(
-        self, rows: Cloud, columns: Cloud, exponents: Exponents, part: range, precise: bool,
-        pairs: TilePairs | None = None,
-    ) -> cl.MemoryObject:  # fmt: skip
+    def _levels_on_device(self, exponents: Exponents, part: range) -> cl.MemoryObject:
         """Form the levels of some row tiles on the device, and read the row levels."""
+        rows, columns, precise, pairs, *_ = exponents
         n, n_columns, planes = len(part), len(columns.centers), 2 if precise else 1
         n_listed, lists = 0, (columns.centers_buffer, columns.centers_buffer)
         if pairs is not None:
@@ -173,26 +166,25 @@ class RowLoop:
             )  # fmt: skip
         return self._lists[pairs]
 
-    def with_levels(
-        self, exponents: Exponents, rows: Cloud, columns: Cloud, pairs: TilePairs, part: range,
-        precise: bool = True,
-    ) -> Exponents:  # fmt: skip
+    def with_levels(self, exponents: Exponents, pairs: TilePairs, part: range) -> Exponents:
         """Form the levels of a part's listed pairs; that of a row tile is its pairs' largest."""
+        exponents = exponents._replace(pairs=pairs)
         if len(pairs.tiles) >= self.device_levels and self._forms_levels():
             tile_max = self.work.buffer(exponents.tile_max, np.float64)
             terms = exponents._replace(tile_max_buffer=tile_max)
-            formed = self._levels_on_device(rows, columns, terms, part, precise, pairs)
-            return exponents._replace(levels=formed)
+            return exponents._replace(levels=self._levels_on_device(terms, part))
         starts, section = pairs.starts[part.start : part.stop + 1], pairs.section(part)
         levels = np.zeros(len(pairs.tiles))
         own = exponents.tile_max[pairs.tiles[section]] - exponents.k * pairs.distances[section]
         largest = np.maximum.reduceat(own, starts[:-1] - starts[0])
         exponents.row_level[part.start : part.stop] = largest
         levels[section] = np.maximum(own - np.repeat(largest, np.diff(starts)), SENTINEL)
-        return exponents._replace(levels=self.work.buffer(split(levels) if precise else levels))
+        planes = split(levels) if exponents.precise else levels
+        return exponents._replace(levels=self.work.buffer(planes))
 
-    def row_offsets(self, rows: Cloud, exponents: Exponents) -> Float64:
+    def row_offsets(self, exponents: Exponents) -> Float64:
         """Return the term missing in e_ij, the level of the row's tile less its own cost: (N,)."""
+        rows = exponents.rows
         levels = np.repeat(exponents.row_level, self.constants.tile)[: len(rows)]
         return levels - exponents.k * rows.own_costs
 
@@ -227,14 +219,13 @@ class RowLoop:
     def parts(
         self,
         kernel: cl.Kernel,
-        rows: Cloud,
-        columns: Cloud,
+        exponents: Exponents,
         counts: NDArray[np.int64] | None = None,
-        pairs: TilePairs | None = None,
         within: range | None = None,
         shares: int | None = None,
     ) -> Iterator[range]:
         """Split row tiles by time, and by the pairs that a kernel writes (`counts`, (stride,))."""
+        rows, columns, _, pairs, *_ = exponents
         n_tiles, tile = len(rows.centers), self.constants.tile
         first, end = (0, n_tiles) if within is None else (within.start, within.stop)
         windows = 1 if shares else self._windows(columns, pairs)
@@ -257,52 +248,40 @@ class RowLoop:
             first = stop
 
     def masked_parts(
-        self,
-        kernel: cl.Kernel,
-        rows: Cloud,
-        columns: Cloud,
-        pairs: TilePairs | None,
-        shares: int | None = None,
+        self, kernel: cl.Kernel, exponents: Exponents, shares: int | None = None
     ) -> Iterator[tuple[range, list[Any]]]:
         """Yield the row tiles of each launch as `parts`, and the kernel's MASK_ARGUMENTS."""
+        pairs = exponents.pairs
         if pairs is None or pairs.masks is None:
-            for part in self.parts(kernel, rows, columns, pairs=pairs, shares=shares):
+            for part in self.parts(kernel, exponents, shares=shares):
                 yield part, []
             return
         for within, masks in pairs.masks:
-            for part in self.parts(
-                kernel, rows, columns, pairs=pairs, within=within, shares=shares
-            ):
+            for part in self.parts(kernel, exponents, within=within, shares=shares):
                 yield part, [masks, np.uint32(pairs.starts[within.start])]
 
     def launch(
         self,
         kernel: cl.Kernel,
-        rows: Cloud,
-        columns: Cloud,
         exponents: Exponents,
         part: range,
         *arguments: Any,
         shares: int | None = None,
-        precise: bool = False,
-        pairs: TilePairs | None = None,
         results: Results = (),
     ) -> None:
         """Run a kernel over some row tiles; its own arguments follow those of the row loop."""
         # `shares` are work-groups along the columns, of a kernel that has such (`column_shares`).
-        _, tile_max, row_level, k, known, on_device = exponents
+        rows, columns, precise, pairs, *_, known, on_device = exponents
         section = slice(part.start, part.stop)
         n_rows = len(part) * self.constants.tile
         lists: tuple[Any, ...] = ()
         work = n_rows * columns.stride
         if on_device is not None:
-            levels = self._levels_on_device(rows, columns, exponents, part, precise)
+            levels = self._levels_on_device(exponents, part)
         elif pairs is None:
-            if known is None:
-                known = _levels(rows.centers[section], columns.centers, tile_max, k)
-            else:
-                known = known[section]
-            planes: NDArray[Any] = np.maximum(known - row_level[section, None], SENTINEL)
+            known = _levels(exponents, section) if known is None else known[section]
+            above = known - exponents.row_level[section, None]
+            planes: NDArray[Any] = np.maximum(above, SENTINEL)
             levels = self.work.buffer(np.swapaxes(split(planes), 0, 1) if precise else planes)
         else:
             levels, done = known, pairs.done(self.constants.tile)
@@ -318,10 +297,10 @@ class RowLoop:
                     kernel, *self.launch_size(kernel, n_rows, shares or 1),
                     np.uint32(part.start * self.constants.tile), np.uint32(rows.stride),
                     np.uint32(columns.stride), np.uint32(len(columns.centers)),
-                    np.uint32(window * at_once), np.uint32(at_once), *split(np.asarray(k)),
-                    *dimension_argument(rows), rows.shifts_buffer, rows.centers_buffer,
-                    columns.shifts_buffer, columns.centers_buffer, exponents.column_logits,
-                    levels, *lists, *arguments,
+                    np.uint32(window * at_once), np.uint32(at_once),
+                    *split(np.asarray(exponents.k)), *dimension_argument(rows),
+                    rows.shifts_buffer, rows.centers_buffer, columns.shifts_buffer,
+                    columns.centers_buffer, exponents.column_logits, levels, *lists, *arguments,
                     results=results if window + 1 == windows else (),
                 )  # fmt: skip
 
@@ -337,6 +316,7 @@ def dimension_argument(cloud: Cloud) -> tuple[np.uint32, ...]:
     return (np.uint32(dimension),) if dimension >= SLICED_FROM else ()
 
 
-def _levels(row_centers: Float64, column_centers: Float64, tile_max: Float64, k: float) -> Float64:
+def _levels(terms: Exponents, section: slice) -> Float64:
     """Return the log2-kernel of tile centers plus the columns' largest logits: (rows, columns)."""
-    return tile_max - k * center_costs(row_centers[:, None], column_centers)
+    costs = center_costs(terms.rows.centers[section, None], terms.columns.centers)
+    return terms.tile_max - terms.k * costs

@@ -151,10 +151,9 @@ def iterate(case: Clouds, balanced: int, over_stored: bool = False) -> Iterator[
     ) -> tuple[Finding, IterationNumbers, _Step]:
         got, want = iteration.iterate(control, radius), _step(problem, x)
         f, images, _ = iteration.potentials()
+        image = images[int((control & PARITY) > 0)]
         found = [np.empty(size) for size in case.shape]
-        for order, ours, values in zip(
-            orders, found, (f, last_image(images, control)), strict=True
-        ):
+        for order, ours, values in zip(orders, found, (f, image), strict=True):
             ours[order] = values
         error, detail = _excess(problem, want, got, *found), f", balanced {balanced}, {detail}"
         return case.finding(operation, error, allowed, detail=detail), got, want
@@ -190,11 +189,6 @@ def iterate(case: Clouds, balanced: int, over_stored: bool = False) -> Iterator[
     # The last iterate is dropped, as if its dual were too small.
     iteration.iterate(source, WIDE)
     yield compared(want.image, later, "taken back", IMAGE | source & PARITY)[0]
-
-
-def last_image(images: Float64, control: int) -> Float64:
-    """Return the one of both images that an iteration with this control has written."""
-    return images[int((control & PARITY) > 0)]
 
 
 _Started = tuple[ResidentIteration | None, _Problem, tuple]
