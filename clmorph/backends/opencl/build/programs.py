@@ -49,6 +49,17 @@ class Programs:
             self._kept[variant] = self.kernels(variant)
         return self._kept[variant][name]
 
+    def has(self, variant: Variant, instead: str) -> bool:
+        """Return whether there is a program that the host does without; else tell so, once."""
+        if variant not in self._kept:
+            try:
+                suited = variant.suits(self._constants)
+                self._kept[variant] = self.kernels(variant) if suited else {}
+            except ProgramError as error:
+                error.tell(instead)
+                self._kept[variant] = {}
+        return bool(self._kept[variant])
+
     def kernels(self, variant: Variant) -> dict[str, cl.Kernel]:
         """Return new kernels of a file by name, which is built, and verified if it is new."""
         if self._check_here is not None:

@@ -18,7 +18,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.clouds import split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, set_argument
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
-from clmorph.backends.records import SOURCE, Float64, IterationNumbers, ProgramError, next_source
+from clmorph.backends.records import SOURCE, Float64, IterationNumbers, next_source
 
 #: The arguments that change in each iteration, see `DeviceIteration._tell`.
 TOLD = "control", "radius"
@@ -105,19 +105,11 @@ class ResidentSteps:
         self.loop, self.take_turns = loop, functools.cache(take_turns)
         self.in_pairs = not loop.constants.float64
         self.bound: dict[Any, BoundKernels] = {}
-        self._is_possible: bool | None = None
 
     def is_possible(self) -> bool:
         """Return whether the device has what iterations need; its compiler is asked once."""
-        if self._is_possible is None:
-            self._is_possible = self.variant.suits(self.loop.constants)
-            try:
-                if self._is_possible:
-                    self.loop.programs.kernels(self.variant)
-            except ProgramError as error:
-                self._is_possible = False
-                error.tell("iterations run on the host, which is slower")
-        return self._is_possible
+        instead = "iterations run on the host, which is slower"
+        return self.loop.programs.has(self.variant, instead)
 
     def units(self, cost: float, mass: float) -> tuple[float, float]:
         """Return units in which pairs of float32 lose no digits, by the largest cost and a mass."""

@@ -15,7 +15,7 @@ from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Results, Workspace
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, center_costs
-from clmorph.backends.records import Float64, ProgramError
+from clmorph.backends.records import Float64
 
 #: The factor that converts natural logarithms to base 2.
 LOG2_E = float(np.log2(np.e))
@@ -130,14 +130,8 @@ class RowLoop:
 
     def _forms_levels(self) -> bool:
         """Return whether the device has the kernel that forms levels; build it if not yet."""
-        variant = Variant("tile_levels.cl")
-        if variant not in self._kernels and variant.suits(self.constants):
-            try:
-                self._kernels[variant] = self.programs.kernels(variant)
-            except ProgramError as error:
-                error.tell("levels between tiles are formed on the host, which is slower")
-                self._kernels[variant] = {}
-        return bool(self._kernels.get(variant))
+        instead = "levels between tiles are formed on the host, which is slower"
+        return self.programs.has(Variant("tile_levels.cl"), instead)
 
     def _levels_on_device(self, exponents: Exponents, part: range) -> cl.MemoryObject:
         """Form the levels of some row tiles on the device, and read the row levels."""
@@ -150,7 +144,7 @@ class RowLoop:
         row_level = self.work.empty(8 * n)
         numbers = part.start, n_columns, n_listed, rows.centers.shape[1], planes
         self.work.launch(
-            self._kernels[Variant("tile_levels.cl")]["tile_levels"],
+            self.programs.kernel("tile_levels.cl", "tile_levels"),
             (n * self.constants.group,), (self.constants.group,), *map(np.uint32, numbers),
             np.float64(exponents.k), rows.centers_buffer, columns.centers_buffer,
             exponents.tile_max_buffer, *lists, row_level, levels,
