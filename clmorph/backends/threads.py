@@ -20,12 +20,6 @@ def _join(threads: Sequence[threading.Thread]) -> None:
             thread.join(PATIENCE)
 
 
-def _first(errors: dict[int, BaseException]) -> BaseException:
-    """Return the error to raise: a task that was stopped because of another one is no cause."""
-    causes = [number for number, error in errors.items() if not isinstance(error, Cancelled)]
-    return errors[min(causes or errors)]
-
-
 def results_in_order(
     turns: Sequence[int], work: Callable[[int, int], T]
 ) -> Generator[T, None, None]:
@@ -87,6 +81,8 @@ def results_in_order(
                     raise
         check_cancelled()
         if errors:
-            raise _first(errors)
+            # A task that was stopped because of another one is no cause.
+            causes = [number for number, each in errors.items() if not isinstance(each, Cancelled)]
+            raise errors[min(causes or errors)]
     finally:
         errors.clear()

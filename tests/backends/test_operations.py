@@ -47,14 +47,7 @@ class NastyBench(Bench):
 
 
 @pytest.mark.parametrize(
-    "file",
-    [
-        "barycentric_projection.cl",
-        "log_sum_exp.cl",
-        "near_field.cl",
-        "plan_rows.cl",
-        "plan_shares.cl",
-    ],
+    "file", sorted({built.file for built in all_variants() if built.dimension})
 )
 @pytest.mark.parametrize("blur", BLURS[::2])
 @pytest.mark.parametrize("name", PAIRS)
