@@ -29,37 +29,7 @@ def dense(a, x, b, y, blur, rho, offsets=(None, None)):
     return Dense(*sides, NUMBER(blur**2))
 
 
-def kl(p, q):
-    return p * np.log(p / q) - p + q
-
-
 RHOS = [(0.09, 0.09), (1e-4, 25.0), (INF, 0.3), (2.0, INF), (INF, INF)]
-
-
-@pytest.mark.parametrize("rho", RHOS, ids=str)
-@pytest.mark.parametrize("masses", [(1.0, 1.0), (3e-12, 4e-9), (2e15, 5e3)])
-@pytest.mark.parametrize("blur", [0.0078125, 0.5])
-def test_two_diracs(rho, masses, blur):
-    """Log m = (rho_1 log a + rho_2 log b + epsilon log(a b) - C) / (rho_1 + rho_2 + epsilon)."""
-    a, b = map(NUMBER, masses)
-    if rho == (INF, INF):
-        b = a
-    problem = dense([float(a)], [[0.0, 1.0]], [float(b)], [[0.75, 0.0]], blur, rho)
-    cost, epsilon = NUMBER(0.5 * (0.75**2 + 1)), problem.epsilon
-    strengths = [NUMBER(one) for one in rho]
-    if np.isinf(rho[0]):
-        m = a
-    elif np.isinf(rho[1]):
-        m = b
-    else:
-        m = strengths[0] * np.log(a) + strengths[1] * np.log(b) + epsilon * np.log(a * b) - cost
-        m = np.exp(m / (strengths[0] + strengths[1] + epsilon))
-    value = cost * m + epsilon * kl(m, a * b)
-    for strength, mass in zip(strengths, (a, b), strict=True):
-        value += 0 if np.isinf(strength) else strength * kl(m, mass)
-    found, rounding = judge.solve(problem), 20 * CLOSE * abs(value)
-    assert found.settled
-    assert found.low - rounding <= value <= found.high + rounding
 
 
 def above(value):

@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -106,23 +105,6 @@ def test_a_tag_names_the_version(built, tmp_path, tag, passed):
     )  # fmt: skip
     assert (done.returncode == 0) == passed, done.stdout + done.stderr
     assert passed == ("is not the version" not in done.stdout)
-
-
-def test_the_sdist_is_complete(built):
-    with tarfile.open(built[0]) as sdist:
-        names = {name.split("/", 1)[-1] for name in sdist.getnames()}
-    wanted = {
-        "LICENSE",
-        "README.md",
-        "pyproject.toml",
-        "clmorph/py.typed",
-        "clmorph/cli/samples/cat.png",
-    }
-    wanted |= {f"cl_kernels/{path.name}" for path in (ROOT / "cl_kernels").glob("*")}
-    wanted |= {
-        f"clmorph/output/html/{path.name}" for path in (ROOT / "clmorph/output/html").glob("*.*")
-    }
-    assert {name for name in wanted if "__pycache__" not in name} <= names
 
 
 def test_the_wheel_works_from_another_folder(built, tmp_path):

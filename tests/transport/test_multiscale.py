@@ -225,34 +225,6 @@ def iterates(problem):
     return started is not None
 
 
-@pytest.mark.parametrize("rho", [(0.09, 0.2), (np.inf, np.inf)])
-def test_iterations_over_clusters_on_the_device_have_the_problems_corrections(device, rng, rho):
-    """Those of the last call of `correct`, and none before it."""
-    epsilon = 0.1**2
-    source, target = (
-        WeightedPoints(rng.random((n, 3)), rng.random(n) / n, 0.01 * rng.random(n))
-        for n in (150, 200)
-    )
-    problem = CorrectedProblem.between(device, source, target, rho)
-    rounding = 8 * problem.rounding(epsilon, False)
-    for size in (0.0, 1.0, 2.0):
-        if size:
-            sides = (size * epsilon * rng.uniform(-1, 1, n) for n in (150, 200))
-            problem.correct(*sides, epsilon)
-        both = new_steps(problem), HostSteps(problem)
-        assert isinstance(both[0], DeviceSteps) == iterates(problem)
-        for each in both:
-            each.begin(np.zeros(200), epsilon, False)
-        for _ in range(3):
-            numbers = [(*each.update_rows(), *each.update_columns()) for each in both]
-            assert np.allclose(*numbers, rtol=rounding, atol=rounding)
-            potentials = [each.potentials() for each in both]
-            for one, other in zip(*potentials, strict=True):
-                assert np.abs(one - other).max() <= rounding * epsilon
-            for each in both:
-                each.go_on(False)
-
-
 @pytest.mark.parametrize("rho", [(0.09, 0.2), (np.inf, 0.2), (0.09, np.inf), (np.inf, np.inf)])
 def test_iterations_over_stored_pairs_on_the_device_are_the_hosts(device, rng, rho):
     """With corrections, more iterates than are stored, an extrapolation taken back."""

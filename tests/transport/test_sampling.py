@@ -129,17 +129,6 @@ def test_barycentric(backend, pair):
     assert len(got) == len(source)
 
 
-def test_their_particles(device, pair):
-    source, target, potentials, _ = pair
-    for plan in (
-        sample_plan(source, target, potentials, 3, backend=device),
-        barycentric_plan(source, target, potentials, backend=device),
-    ):
-        moving = particles(source, target, plan)
-        assert moving.mass(0.0) == pytest.approx(source.mass, rel=1e-4)
-        assert len(particles(source, target, plan, unmatched="drop")) < len(moving)
-
-
 @pytest.mark.parametrize("options", [{"sample": 6}, {"barycentric": True}])
 def test_morphs_of_summaries_look_like_the_whole(device, options):
     whole = morph(*pictures((24, 24)), 3, backend=device)
@@ -185,9 +174,3 @@ def test_a_plan_without_mass_draws_nothing(device):
     plan = sample_plan(source, target, potentials, 2, backend=device)
     assert len(plan) == 0
     assert plan.total_mass == transport_plan(source, target, potentials, backend=device).total_mass
-
-
-def test_many_draws_are_the_plan(backend, pair):
-    source, target, potentials, dense = pair
-    plan = sample_plan(source, target, potentials, 2000, backend=backend)
-    assert np.abs(plan.to_scipy().toarray() - dense).sum() < 0.02 * dense.sum()
