@@ -108,24 +108,6 @@ def test_what_needs_an_image_says_so():
         clmorph.particles(*PLAIN, plan)
 
 
-@pytest.mark.parametrize(
-    "function", [clmorph.transport_plan, clmorph.barycentric_plan, clmorph.reference.transport_plan]
-)
-def test_wrong_potentials(function):
-    source, target = PLAIN
-    potentials = clmorph.sinkhorn(source, target, backend="numpy")
-    options = {} if function is clmorph.reference.transport_plan else {"backend": "numpy"}
-    for wrong, words in (
-        (None, "expected Potentials"),
-        ((potentials.f, potentials.g), "expected Potentials"),
-        (potentials.swapped(), "3 and 4 points; expected 4 and 3"),
-        (dataclasses.replace(potentials, f=potentials.f * np.nan), "NaN"),
-        (dataclasses.replace(potentials, g=list(potentials.g)), "float64"),
-    ):
-        with pytest.raises(InputError, match=words):
-            function(source, target, wrong, **options)
-
-
 def test_potentials_of_other_measures_of_the_same_sizes():
     source, target = PLAIN
     potentials = clmorph.sinkhorn(source, target, backend="numpy")

@@ -1,4 +1,4 @@
-"""The judge of ``tools/cross_check.py`` is correct and detects errors; a part of the check runs."""
+"""The judge of ``tools/cross_check.py`` detects errors; a part of the check runs."""
 
 import re
 import sys
@@ -16,20 +16,7 @@ from findings import Findings
 SEED = 20261122
 #: Seconds of work for one solve.
 PATIENCE = 20.0
-#: Relative, in long double or in float64.
-CLOSE = 1e-17 if EXTENDED else 1e-13
 INF = float("inf")
-
-
-def dense(a, x, b, y, blur, rho, offsets=(None, None)):
-    sides = [
-        make_side(np.array(weights, float), np.array(points, float), offset, strength)
-        for weights, points, offset, strength in zip((a, b), (x, y), offsets, rho, strict=True)
-    ]
-    return Dense(*sides, NUMBER(blur**2))
-
-
-RHOS = [(0.09, 0.09), (1e-4, 25.0), (INF, 0.3), (2.0, INF), (INF, INF)]
 
 
 def above(value):
@@ -43,7 +30,9 @@ def honest(rho, sigma=0.0):
     a[:2], b[:2] = 1.0, 0.0
     if rho == (INF, INF):
         b = np.append(a / 2, a / 2)
-    problem = dense(a, rng.random((12, 2)), b, rng.random((len(b), 2)), 0.125, rho)
+    sides = (make_side(each, rng.random((len(each), 2)), None, strength)
+             for each, strength in zip((a, b), rho, strict=True))  # fmt: skip
+    problem = Dense(*sides, NUMBER(0.125**2))
     optimum = judge.solve(problem)
     f, g = np.zeros(len(a)), np.zeros(len(b))
     f[problem.source.places] = optimum.f + sigma * rng.normal(size=len(optimum.f))

@@ -30,18 +30,16 @@ def built(tmp_path_factory):
 
 
 def test_the_wheel_is_complete(built):
+    """And so is the sdist, of which it is made."""
     with zipfile.ZipFile(built[1]) as wheel:
         names = set(wheel.namelist())
     kernels = {f"clmorph/cl_kernels/{path.name}" for path in (ROOT / "cl_kernels").glob("*.cl")}
-    modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "clmorph").rglob("*.py")}
-    viewer = {
-        path.relative_to(ROOT).as_posix()
-        for ending in ("html", "css", "js")
-        for path in (ROOT / "clmorph" / "output" / "html").glob(f"*.{ending}")
-    }
+    wanted = {"clmorph/output/html/viewer.html", "clmorph/py.typed", "clmorph/cli/samples/cat.png"}
+    for ending in ("py", "html", "css", "js"):
+        found = (ROOT / "clmorph").rglob(f"*.{ending}")
+        wanted |= {path.relative_to(ROOT).as_posix() for path in found}
     assert kernels
-    assert viewer
-    assert kernels | modules | viewer | {"clmorph/py.typed", "clmorph/cli/samples/cat.png"} <= names
+    assert kernels | wanted <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not any(name.startswith(("tests/", "tools/", "cl_kernels/")) for name in names)
 

@@ -335,8 +335,7 @@ def landmark_names(names):
 
 def label_names(names):
     """Two pictures of the shapes that the blocks about labels and features have."""
-    first, second = photographs(40)
-    return {"np": np, "first": first, "second": second}
+    return {"np": np} | dict(zip(("first", "second"), photographs(40), strict=True))
 
 
 def solver_names(names):
@@ -393,7 +392,6 @@ def host_names(names):
     return {"queue": queue, **made}
 
 
-#: Names that blocks use and do not define, by their pages and headings.
 def density_names(names):
     y, x = np.mgrid[:24, :24] / 23
     first, second = (np.exp(-50 * ((x - at) ** 2 + (y - 0.5) ** 2)) for at in (0.3, 0.7))
@@ -401,13 +399,13 @@ def density_names(names):
     return {"clmorph": clmorph, "histogram_a": first * total, "histogram_b": second}
 
 
-def interface_names(_names):
+def interface_names(names):
     """Samples in the plane."""
     x = np.random.default_rng(0).random((2, 20, 2))
     return {"X_a": x[0], "X_b": x[1]}
 
 
-def batch_names(_names):
+def batch_names(names):
     """A client, whose scheduler and worker are threads of this process."""
     from distributed import Client
 
@@ -417,6 +415,7 @@ def batch_names(_names):
     return {"client": client, "measures": [(rng.random(n), rng.random((n, 2))) for n in (3, 4)]}
 
 
+#: Names that blocks use and do not define, by their pages and headings.
 GIVEN = {
     ("clmorph/frames/README.md", "Densities"): density_names,
     ("clmorph/batch/README.md", "From Python"): batch_names,
@@ -455,11 +454,10 @@ def test_python(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     set_limits(monkeypatch)
     write_pictures(64)
-    python = [(heading, text) for other, heading, kind, text in BLOCKS
-              if (other, kind) == (page, "python")]  # fmt: skip
-    names = {}
-    seen = set()
-    for heading, text in python:
+    names, seen = {}, set()
+    for other, heading, kind, text in BLOCKS:
+        if (other, kind) != (page, "python"):
+            continue
         where = f"{page}, {heading!r}"
         if (page, heading) in GIVEN and heading not in seen:
             given = GIVEN[page, heading](names)
