@@ -51,12 +51,7 @@ def test_devices_share_a_batch(device, rng, kind):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     "options",
-    [
-        {},
-        {"preset": "paper"},
-        {"sample": 4, "seed": 3},
-        {"barycentric": True},
-    ],
+    [{}, {"preset": "paper"}, {"sample": 4, "seed": 3}, {"barycentric": True}],
     ids=["default", "paper", "sample", "barycentric"],
 )
 def test_a_morph_is_that_of_one_device(device, kind, options):
