@@ -33,7 +33,7 @@ def test_a_selection_without_devices():
     assert done.returncode == 0, done.stdout + done.stderr
     counts = {word: int(n) for n, word in re.findall(r"(\d+) (passed|skipped)", done.stdout)}
     assert counts["passed"] > 30
-    assert counts["skipped"] > 10
+    assert counts["skipped"] > 5
     assert "needs a usable OpenCL device, and there is none" in done.stdout
 
 
