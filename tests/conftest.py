@@ -45,7 +45,7 @@ NO_DEVICE = "needs a usable OpenCL device, and there is none (clmorph devices sa
 #: Parameters that name a device; grids are thinned for each device by itself.
 OF_DEVICES = ("variant", "device", "each_device", "any_backend")
 #: What is written over operations, or marked so, is tested on one device after the other.
-IN_TURNS = ("device", "any_backend")
+IN_TURNS = {"device", "any_backend"}
 #: One of so many tests of a grid's share is run by devices but the first one, and in turns.
 STEP = 3
 #: Modules that take longest with --full, the longest first. Processes that share the tests take a
@@ -137,40 +137,32 @@ def _label(device: Device) -> str:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Let each device be a parameter.
+    """Let each device be a parameter; without one, tests that need it are skipped.
 
     With --full `variant` is each device with its own build constants and with those of the other
     kind: a CPU runs what a GPU without float64 would (scalars, work-groups, barriers, shares of
     the columns, pairs of float32), and the reverse.
     """
     labels = [_label(device) for device in TESTED]
-    if not TESTED:
-        _without_device(metafunc)
-        return
-    if "variant" in metafunc.fixturenames:
-        variants = [(device, False) for device in TESTED]
+    for name in OF_DEVICES[:3]:
+        if name not in metafunc.fixturenames:
+            continue
+        values: list[Any] = list(TESTED)
         ids = labels
-        if metafunc.config.getoption("--full"):
-            firsts = [it for it in TESTED if not _is_repeated(it) and not _is_slow(it)]
-            variants += [(device, True) for device in firsts]
-            ids = labels + [f"{_label(device)}-swapped" for device in firsts]
-        metafunc.parametrize("variant", variants, ids=ids, indirect=True, scope="session")
-    for name in ("device", "each_device"):
-        if name in metafunc.fixturenames:
-            metafunc.parametrize(name, TESTED, ids=labels, indirect=True, scope="session")
+        if name == "variant":
+            values = [(device, False) for device in TESTED]
+            if metafunc.config.getoption("--full"):
+                firsts = [it for it in TESTED if not _is_repeated(it) and not _is_slow(it)]
+                values += [(device, True) for device in firsts]
+                ids = labels + [f"{_label(device)}-swapped" for device in firsts]
+        if not TESTED:
+            none = (None, False) if name == "variant" else None
+            values = [pytest.param(none, marks=pytest.mark.skip(reason=NO_DEVICE))]
+            ids = ["no-device"]
+        metafunc.parametrize(name, values, ids=ids, indirect=True, scope="session")
     if "any_backend" in metafunc.fixturenames:
         names = ["numpy", *(device.index for device in TESTED)]
         metafunc.parametrize("any_backend", names, ids=["numpy", *labels], scope="session")
-
-
-def _without_device(metafunc: pytest.Metafunc) -> None:
-    """Let NumPy be the only backend; what needs a device is one test that is skipped."""
-    if "any_backend" in metafunc.fixturenames:
-        metafunc.parametrize("any_backend", ["numpy"], scope="session")
-    for name, value in (("variant", (None, False)), ("device", None), ("each_device", None)):
-        if name in metafunc.fixturenames:
-            absent = pytest.param(value, marks=pytest.mark.skip(reason=NO_DEVICE), id="no-device")
-            metafunc.parametrize(name, [absent], indirect=True, scope="session")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -200,7 +192,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             and (not _is_slow(_device_of(item)) or item.get_closest_marker("small") is not None)
         ]
         for own in _by_function(whole):
-            chosen.update(_one_device_each(own) if _takes_turns(own[0]) else own)
+            turns = _is_in_turns(own[0]) or "variant" in _params(own[0])
+            chosen.update(_one_device_each(own) if turns else own)
     config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
     items[:] = [item for item in items if item in chosen]
     if "PYTEST_XDIST_WORKER" in os.environ:
@@ -235,7 +228,7 @@ def _is_slow(device: Device | None) -> bool:
 
 def _suits(item: pytest.Item, device: Device | None) -> bool:
     """Whether a test is for its device: of slow ones, operations and what is marked as small."""
-    params = getattr(getattr(item, "callspec", None), "params", {})
+    params = _params(item)
     if item.get_closest_marker("one_device") is not None and device is not None:
         return device == TESTED[0] and not params.get("variant", (device, False))[1]
     if not _is_slow(device) or item.get_closest_marker("small") is not None:
@@ -246,12 +239,16 @@ def _suits(item: pytest.Item, device: Device | None) -> bool:
 
 def _device_of(item: pytest.Item) -> Device | None:
     """Return the device that an item is for; None if for none, or for NumPy."""
-    params = getattr(getattr(item, "callspec", None), "params", {})
+    params = _params(item)
     if "variant" in params:
         return params["variant"][0]
     if "any_backend" in params:
         return next((it for it in TESTED if it.index == params["any_backend"]), None)
     return params.get("device", params.get("each_device"))
+
+
+def _params(item: pytest.Item) -> dict[str, Any]:
+    return getattr(getattr(item, "callspec", None), "params", {})
 
 
 def _by_function(items: list[pytest.Item]) -> Iterable[list[pytest.Item]]:
@@ -264,13 +261,8 @@ def _by_function(items: list[pytest.Item]) -> Iterable[list[pytest.Item]]:
 
 def _is_in_turns(item: pytest.Item) -> bool:
     """Whether one device is enough for each combination of a test's other parameters."""
-    params = getattr(getattr(item, "callspec", None), "params", {})
-    return item.get_closest_marker("in_turns") is not None or not set(params).isdisjoint(IN_TURNS)
-
-
-def _takes_turns(item: pytest.Item) -> bool:
-    """Whether with --full one device and build suffices for each combination of parameters."""
-    return _is_in_turns(item) or "variant" in getattr(getattr(item, "callspec", None), "params", {})
+    marked = item.get_closest_marker("in_turns") is not None
+    return marked or not IN_TURNS.isdisjoint(_params(item))
 
 
 def _one_device_each(items: list[pytest.Item]) -> list[pytest.Item]:
@@ -280,8 +272,7 @@ def _one_device_each(items: list[pytest.Item]) -> list[pytest.Item]:
     """
     combinations: dict[tuple[int, ...], list[pytest.Item]] = defaultdict(list)
     for item in items:
-        params = getattr(getattr(item, "callspec", None), "params", {})
-        others = [id(value) for name, value in params.items() if name not in OF_DEVICES]
+        others = [id(value) for name, value in _params(item).items() if name not in OF_DEVICES]
         combinations[tuple(others)].append(item)
     chosen = []
     for place, own in enumerate(combinations.values()):
@@ -309,8 +300,7 @@ def _share(items: list[pytest.Item]) -> list[pytest.Item]:
     shorter = [axis for axis in axes if axis is not longest]
     in_turns = _is_in_turns(items[0])
     everywhere = not in_turns and (
-        items[0].get_closest_marker("small") is not None
-        or "variant" in getattr(callspecs[0], "params", {})
+        items[0].get_closest_marker("small") is not None or "variant" in _params(items[0])
     )
     n_devices, turn = max(devices) + 1, crc32(items[0].nodeid.partition("[")[0].encode())
     chosen = []
@@ -370,20 +360,15 @@ def variant(request: pytest.FixtureRequest) -> OpenCLOperations:
     return OpenCLOperations(device.handle, apply_quirks(constants, quirks), verify=False)
 
 
-@pytest.fixture(scope="session")
-def device(request: pytest.FixtureRequest) -> OpenCLOperations:
-    """Operations on each tested device in turn."""
+def _operations(request: pytest.FixtureRequest) -> OpenCLOperations:
     operations = clmorph.get_backend(request.param.index)
     assert isinstance(operations, OpenCLOperations)
     return operations
 
 
-@pytest.fixture(scope="session")
-def each_device(request: pytest.FixtureRequest) -> OpenCLOperations:
-    """Operations on each tested device, also of tests that run in turns elsewhere."""
-    operations = clmorph.get_backend(request.param.index)
-    assert isinstance(operations, OpenCLOperations)
-    return operations
+#: Operations on each tested device in turn; and on each one, where other tests take turns.
+device = pytest.fixture(scope="session", name="device")(_operations)
+each_device = pytest.fixture(scope="session", name="each_device")(_operations)
 
 
 @pytest.fixture

@@ -1,8 +1,11 @@
 """Numbers are taken exactly as they are, or refused in one short line."""
 
+from decimal import Decimal
+
 import numpy as np
 import plain
 import pytest
+from api_values import Hostile, OnDevice
 
 import clmorph
 from clmorph._shared.validation import (
@@ -34,6 +37,8 @@ def test_whole_numbers_are_exact():
     [
         HUGE, -HUGE, ENDLESS, 1e400, float("nan"), 2.5, True, np.True_, np.array(True), "3", b"3",
         None, [3], {}, 3j, np.zeros((40, 40)), np.zeros(0), "x" * 10_000, [[1, 2], [3]], 10,
+        np.array([3]), np.array("1"), np.timedelta64(1), np.ma.masked, np.ma.array(3, mask=True),
+        Decimal("NaN"), Hostile(), OnDevice(),
     ],
     ids=lambda value: shown(value)[:20],
 )  # fmt: skip

@@ -29,9 +29,10 @@ def moments(grid):
 
 
 @pytest.mark.parametrize("t", [0.25, 0.5, 0.8])
-def test_gaussians_stay_gaussian(device, t):
+@pytest.mark.parametrize("blur", [0.01, 0.05])
+def test_gaussians_stay_gaussian(device, t, blur):
     """Means and deviations go linearly, but for what the blur adds (Janati et al., 2020)."""
-    shape, blur = (41, 61), 0.01
+    shape = 41, 61
     first, last = (0.25, 0.3), (0.72, 0.4)
     narrow, wide = (0.05, 0.06), (0.1, 0.05)
     path = clmorph.density_path(

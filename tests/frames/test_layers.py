@@ -62,24 +62,6 @@ def test_unlike_pictures_are_not_seen_through_each_other(device):
     assert found < 0.2 * fade
 
 
-def test_a_frame_is_a_function_of_its_time(device, pair):
-    morph, other = (clmorph.morph(*pair, backend=device, **SMALL) for _ in range(2))
-    shown = {t: morph.frame(t) for t in TIMES}
-    for t in TIMES[::-1]:
-        np.testing.assert_array_equal(morph.frame(t), shown[t])
-        np.testing.assert_array_equal(other.frame(t), shown[t])
-
-
-def test_devices_agree_with_numpy(each_device, pair):
-    ours, theirs = (
-        clmorph.morph(*pair, backend=backend, **SMALL) for backend in (each_device, "numpy")
-    )
-    for t in TIMES:
-        # Where motion folds, rounding decides between two places of a picture.
-        error = np.abs(ours.frame(t) - theirs.frame(t)).max(axis=2)
-        assert np.mean(error > 0.02) < 0.02
-
-
 @pytest.mark.parametrize("detail", [None, "particles"])
 def test_white_stays_white(detail, device):
     first = np.ones((64, 64, 3))

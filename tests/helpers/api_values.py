@@ -91,13 +91,6 @@ def _methods(kind: type) -> dict[str, Callable[..., Any]]:
     }
 
 
-class Idle:
-    """What is called with progress."""
-
-    def __call__(self, *told: Any) -> None:
-        """Take no notice."""
-
-
 @cache
 def examples() -> dict[str, Any]:
     """Return one good object of every kind, made once: no call may change them."""
@@ -328,7 +321,7 @@ def _usual(function: Callable[..., Any]) -> dict[str, Any]:
         for each in inspect.signature(function).parameters.values()
         if each.default is not each.empty
     }
-    fixed = {"backend": "numpy", "progress": Idle()}
+    fixed = {"backend": "numpy", "progress": lambda *told: None}
     return usual | {name: value for name, value in fixed.items() if name in usual}
 
 
@@ -508,21 +501,13 @@ def damaged(kind: str) -> Iterator[tuple[str, Any]]:
     }
     for field in dataclasses.fields(good):
         for name, value in parts.items():
-            yield (
-                f"{kind} with {field.name}={name}",
-                dataclasses.replace(good, **{field.name: value}),
-            )
+            changed = dataclasses.replace(good, **{field.name: value})
+            yield f"{kind} with {field.name}={name}", changed
 
 
 #: Which arguments are objects of public classes; damaged ones take their place too.
-KINDS = {
-    "source": "source",
-    "target": "target",
-    "potentials": "potentials",
-    "start": "potentials",
-    "cross": "potentials",
-    "plan": "plan",
-}
+KINDS = {name: name for name in ("source", "target", "potentials", "plan")}
+KINDS |= dict.fromkeys(("start", "cross"), "potentials")
 
 
 def is_fit(argument: str, label: str) -> bool:

@@ -8,33 +8,22 @@ from clmorph.measures.lift import pixel_positions
 from clmorph.measures.points import as_measure
 
 
-def test_square_images_span_the_unit_square():
-    positions = pixel_positions((3, 3))
-    assert positions[0].tolist() == [0, 0]
-    assert positions[1].tolist() == [0.5, 0]
-    assert positions[-1].tolist() == [1, 1]
-
-
-def test_the_longer_side_spans_and_the_shorter_is_centered():
-    positions = pixel_positions((3, 5))
-    assert positions[:, 0].min() == 0
-    assert positions[:, 0].max() == 1
-    assert positions[:, 1].tolist() == [0.25] * 5 + [0.5] * 5 + [0.75] * 5
-
-
-def test_unit_extent_stretches_both_axes():
-    positions = pixel_positions((3, 5), "unit")
-    assert positions.min(axis=0).tolist() == [0, 0]
-    assert positions.max(axis=0).tolist() == [1, 1]
-
-
-@pytest.mark.parametrize("extent", ["true", "unit"])
-@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (4, 1)])
-def test_one_pixel_sides_stand_in_the_middle(shape, extent):
-    positions = pixel_positions(shape, extent)
-    for axis, side in ((0, shape[1]), (1, shape[0])):
-        if side == 1:
-            assert np.all(positions[:, axis] == 0.5)
+@pytest.mark.parametrize(
+    ("shape", "extent", "x", "y"),
+    [
+        ((3, 3), "true", [0, 0.5, 1], [0, 0.5, 1]),
+        # The longer side spans, and the shorter one is centered; "unit" stretches both.
+        ((3, 5), "true", [0, 0.25, 0.5, 0.75, 1], [0.25, 0.5, 0.75]),
+        ((3, 5), "unit", [0, 0.25, 0.5, 0.75, 1], [0, 0.5, 1]),
+        # A side of one pixel stands in the middle.
+        ((1, 1), "true", [0.5], [0.5]),
+        ((1, 1), "unit", [0.5], [0.5]),
+        ((1, 3), "true", [0, 0.5, 1], [0.5]),
+        ((3, 1), "unit", [0.5], [0, 0.5, 1]),
+    ],
+)
+def test_positions(shape, extent, x, y):
+    assert pixel_positions(shape, extent).tolist() == [[a, b] for b in y for a in x]
 
 
 def test_lift(rng):

@@ -93,17 +93,6 @@ def test_pictures_are_reduced_by_default(rng):
             clmorph.morph(large, large, backend="numpy", **maps)
 
 
-def test_sinkhorn_is_balanced_by_default():
-    unequal = ([1.0], [[0.0]]), ([2.0], [[0.1]])
-    with pytest.raises(InputError, match="reach"):
-        clmorph.sinkhorn(*unequal, backend="numpy")
-    faded = clmorph.sinkhorn(*unequal, reach=0.3, backend="numpy")
-    assert "transported" in repr(faded)
-    equal = clmorph.sinkhorn(([1.0], [[0.0]]), ([1.0], [[0.1]]), backend="numpy")
-    assert equal.reach is None
-    assert equal.transported_mass == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize(
     "function",
     [

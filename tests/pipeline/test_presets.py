@@ -117,10 +117,14 @@ class TestCommand:
         for preset in ([], ["--preset", "auto"]):
             command = ["morph", *pair, "-o", "out.gif", "--config", "mine.toml", "--json"]
             assert main([*command, *preset, *OPTIONS]) == 0
-            options = json.loads(capfd.readouterr().out)["options"]
+            shown = capfd.readouterr()
+            options = json.loads(shown.out)["options"]
             assert options["detail"] == "layers"
             # A preset of the command line replaces what a file says of its options.
             assert options["blur"] == (0.02 if preset else 0.07)
+            others = "solve_size" if preset else "blur, solve_size"
+            told = f"preset: logo, for what the pictures show; given otherwise: {others}\n"
+            assert told in shown.err
 
     def test_dumped_settings_are_those_of_the_pictures(self, files, capfd):
         assert main(["morph", "logo0.png", "logo1.png", "--dump-config"]) == 0
@@ -129,15 +133,6 @@ class TestCommand:
         shown = capfd.readouterr()
         assert 'detail = "layers"' in shown.out
         assert "name pictures" in shown.err
-
-    @pytest.mark.full
-    def test_it_says_what_a_file_changes(self, files, capfd):
-        (files / "mine.toml").write_text('detail = "particles"\n')
-        pair = ["logo0.png", "logo1.png"]
-        command = ["morph", *pair, "-o", "out.gif", "--config", "mine.toml", *OPTIONS]
-        assert main(command) == 0
-        told = "preset: logo, for what the pictures show; given otherwise: detail, solve_size\n"
-        assert told in capfd.readouterr().err
 
     @pytest.mark.full
     def test_draft(self, files, capfd):

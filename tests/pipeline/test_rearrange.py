@@ -23,13 +23,19 @@ def _images(height: int = 12, width: int = 14) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([x, y, x * y], axis=2), np.stack([1 - x, y * y, y], axis=2)
 
 
-def test_last_frame_has_the_very_pixels_of_a(device):
+@pytest.mark.parametrize("channels", [3, 4])
+def test_last_frame_has_the_very_pixels_of_a(device, channels):
+    """They keep their opacity, too."""
     a, b = _images()
+    opacity = np.linspace(0, 1, a[..., 0].size).reshape(a.shape[:2])
+    a = np.dstack((a, opacity))[..., :channels]
     found = clmorph.rearrange(a, b, n_frames=4, backend=device)
     assert len(found) == 4
+    assert found.frame(0.5).shape == a.shape
     np.testing.assert_array_equal(found[0], a.astype(np.float32))
-    last = found[-1].reshape(-1, 3)
-    np.testing.assert_array_equal(last[found.assignment], a.astype(np.float32).reshape(-1, 3))
+    last = found[-1].reshape(-1, channels)
+    wanted = a.astype(np.float32).reshape(last.shape)
+    np.testing.assert_array_equal(last[found.assignment], wanted)
     assert sorted(found.assignment) == list(range(len(last)))
     assert 0 < found.lower_bound <= found.cost <= 1.01 * found.lower_bound
 
@@ -104,16 +110,6 @@ def test_an_empty_place_goes_on_as_a_does():
     steps = np.abs(np.diff(frame, axis=1)).max(axis=(0, 2))
     assert steps[:18].min() > 0
     assert steps[22:].min() > 0
-
-
-def test_pixels_keep_their_opacity():
-    a, b = _images()
-    opacity = np.linspace(0, 1, a.shape[0] * a.shape[1]).reshape(*a.shape[:2], 1)
-    a = np.concatenate([a, opacity], axis=2)
-    found = clmorph.rearrange(a, b, n_frames=3, backend="numpy")
-    last = found[-1].reshape(-1, 4)
-    np.testing.assert_array_equal(last[found.assignment], a.astype(np.float32).reshape(-1, 4))
-    assert found.frame(0.5).shape == (*a.shape[:2], 4)
 
 
 def test_opaque_pixels_go_where_b_is_opaque():

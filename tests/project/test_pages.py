@@ -1,12 +1,10 @@
 """Every command and every block of Python in the pages runs without changes, and names exist.
 
-Pictures are such that the commands take the branches that photographs take: they are reduced,
-solved between blocks of pixels, drawn by a sample of the plan, with a kernel width for each
-particle.
+Photographs are so large beside the limits that they are reduced, and solved between blocks of
+pixels.
 """
 
 import ast
-import functools
 import importlib
 import itertools
 import re
@@ -27,10 +25,8 @@ from PIL import Image
 from skimage import data
 
 import clmorph
-from clmorph.analysis import inspect as inspection
 from clmorph.cli.main import cli, main
 from clmorph.output.save import FORMATS
-from clmorph.pipeline import budget as planning
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
 
@@ -136,39 +132,6 @@ def set_limits(monkeypatch):
     for name, limit in LIMITS.items():
         assert limit < getattr(MorphOptions(), name)
         monkeypatch.setitem(PRESETS["photo"].options, name, limit)
-
-
-@pytest.fixture
-def ways(monkeypatch):
-    """How plans are made: pixels of a block, and draws in place of all pairs."""
-    found = []
-    choose = planning.choose_way
-
-    @functools.wraps(choose)
-    def spy(parts, *arguments, **options):
-        way = choose(parts, *arguments, **options)
-        found.append((max(planning.finest_pixels(*part.blocks) for part in parts), way))
-        return way
-
-    for module in (planning, inspection):
-        monkeypatch.setattr(module, "choose_way", spy)
-    return found
-
-
-@pytest.fixture
-def widths(monkeypatch):
-    """Kinds of kernel widths that morphs are drawn with."""
-    found = []
-    module = importlib.import_module("clmorph.pipeline.morph")
-    make = module.KernelWidth
-
-    def spy(*arguments):
-        width = make(*arguments)
-        found.append(width.splatting)
-        return width
-
-    monkeypatch.setattr(module, "KernelWidth", spy)
-    return found
 
 
 def test_there_is_nothing_that_is_not_run():
@@ -306,7 +269,7 @@ def assert_served(command):
 
 @pytest.mark.full
 @pytest.mark.parametrize("page", [page for page, lines in OURS.items() if lines])
-def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
+def test_commands(page, tmp_path, monkeypatch, capfd):
     """All of them, one after the other in one folder, as somebody types them."""
     monkeypatch.chdir(tmp_path)
     # Larger than the limits, and small where every pixel is moved.
@@ -326,10 +289,8 @@ def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
             make_folder(Path(command[1]))
             assert main(command) == 0
             continue
-        ways.clear()
-        widths.clear()
         assert main(command) == 0, (line, capfd.readouterr().err)
-        pairs = list(itertools.pairwise(command))
+        pairs = itertools.pairwise(command)
         outputs = [word for option, word in pairs if option in ("-o", "--report")]
         assert all(Path(name).stat().st_size > 1000 for name in outputs)
         out, err = capfd.readouterr()
@@ -339,23 +300,6 @@ def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
             continue
         assert outputs or "inspect" in command
         assert all(name in out for name in outputs)
-        if command[0] == "mix":  # it takes all pairs of pictures, which have tests of their own
-            assert ways
-            continue
-        if command[0] in ("rearrange", "recolor"):  # they draw the pixels themselves
-            assert not ways
-            continue
-        sprites = "cat.png" in command or "--config" in command
-        morphs = sum(name in PICTURES for name in command) - 1
-        assert len(ways) == (1 if sprites else morphs), line
-        if sprites:
-            assert ways == [(1, {})]
-        else:
-            for finest, way in ways:
-                assert finest == 4, line
-                assert way.get("sample", 0) > 1, line
-        if "inspect" not in command:
-            assert set(widths) == {"local"}, line
     if not Path("again.gif").exists():
         return
     with Image.open("out.gif") as once, Image.open("again.gif") as again:
@@ -367,14 +311,10 @@ def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
 
 
 @pytest.mark.full
-def test_inspecting_photographs_within_the_presets_own_limits(tmp_path, monkeypatch, capfd, ways):
-    """As small as they can be and still be drawn by a sample between blocks."""
+def test_inspecting_photographs_within_the_presets_own_limits(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     write_pictures(256)
     assert main(["inspect", "a.png", "b.jpg"]) == 0
-    ((finest, way),) = ways
-    assert finest == 16
-    assert way["sample"] > 1
     assert "256 x 256 pixels in 64 x 64 " in capfd.readouterr().out
 
 
@@ -395,8 +335,7 @@ def landmark_names(names):
 
 def label_names(names):
     """Two pictures of the shapes that the blocks about labels and features have."""
-    first, second = photographs(40)
-    return {"np": np, "first": first, "second": second}
+    return {"np": np} | dict(zip(("first", "second"), photographs(40), strict=True))
 
 
 def solver_names(names):
@@ -453,7 +392,6 @@ def host_names(names):
     return {"queue": queue, **made}
 
 
-#: Names that blocks use and do not define, by their pages and headings.
 def density_names(names):
     y, x = np.mgrid[:24, :24] / 23
     first, second = (np.exp(-50 * ((x - at) ** 2 + (y - 0.5) ** 2)) for at in (0.3, 0.7))
@@ -461,13 +399,13 @@ def density_names(names):
     return {"clmorph": clmorph, "histogram_a": first * total, "histogram_b": second}
 
 
-def interface_names(_names):
+def interface_names(names):
     """Samples in the plane."""
     x = np.random.default_rng(0).random((2, 20, 2))
     return {"X_a": x[0], "X_b": x[1]}
 
 
-def batch_names(_names):
+def batch_names(names):
     """A client, whose scheduler and worker are threads of this process."""
     from distributed import Client
 
@@ -477,6 +415,7 @@ def batch_names(_names):
     return {"client": client, "measures": [(rng.random(n), rng.random((n, 2))) for n in (3, 4)]}
 
 
+#: Names that blocks use and do not define, by their pages and headings.
 GIVEN = {
     ("clmorph/frames/README.md", "Densities"): density_names,
     ("clmorph/batch/README.md", "From Python"): batch_names,
@@ -515,11 +454,10 @@ def test_python(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     set_limits(monkeypatch)
     write_pictures(64)
-    python = [(heading, text) for other, heading, kind, text in BLOCKS
-              if (other, kind) == (page, "python")]  # fmt: skip
-    names = {}
-    seen = set()
-    for heading, text in python:
+    names, seen = {}, set()
+    for other, heading, kind, text in BLOCKS:
+        if (other, kind) != (page, "python"):
+            continue
         where = f"{page}, {heading!r}"
         if (page, heading) in GIVEN and heading not in seen:
             given = GIVEN[page, heading](names)

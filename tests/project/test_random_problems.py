@@ -6,7 +6,7 @@ import random_problems
 
 @pytest.mark.parametrize(
     ("kind", "count"),
-    [("assignments", 6), ("grids", 4), ("barycenters", 2), ("reaches", 4), ("second", 3)],
+    [("assignments", 40), ("grids", 4), ("barycenters", 8), ("reaches", 4), ("second", 16)],
 )
 def test_problems_are_within_their_limits(kind, count, device):
     found = random_problems.worst(kind, count, device, seed=1000)

@@ -106,16 +106,6 @@ def test_wrong_strengths_and_options(rng, options, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("dimension", range(1, 9))
-def test_points_of_any_dimension(any_backend, rng, dimension):
-    pair = clouds(rng, 30, 40, dimension)
-    got = sinkhorn(*pair, 0.2, 0.5, 1e-4, backend=any_backend)
-    want = reference.sinkhorn(*pair, 0.2, 0.5, 1e-6)
-    assert np.abs(got.f - want.f).max() < 1e-3 * got.epsilon
-    plan = clmorph.transport_plan(*pair, got, backend=any_backend)
-    assert plan.row_mass == pytest.approx(got.row_mass, rel=2e-3, abs=1e-12)
-
-
 def test_points_on_a_line_may_be_given_flat(rng):
     a, x = np.ones(5), np.linspace(0, 1, 5)
     flat = sinkhorn((a, x), (a, x + 0.1), backend="numpy")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import clmorph
-from clmorph import InputError
 from clmorph.measures.points import as_pair
 from clmorph.transport._solver.checks import is_large
 
@@ -105,11 +104,3 @@ def test_many_pairs_in_many_dimensions_are_summed_whole():
     for dimension, large in ((11, True), (12, False)):
         points = np.zeros((12_000, dimension))
         assert is_large(as_pair(points, points)) == large
-
-
-def test_too_many_coordinates_are_one_line(rng):
-    points = rng.random((3, 1025))
-    with pytest.raises(
-        InputError, match=r"in 1025 dimensions: expected at most \d+ points in 1 to"
-    ):
-        clmorph.sinkhorn(points, points, backend="numpy")

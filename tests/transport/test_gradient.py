@@ -95,22 +95,6 @@ def test_against_the_dense_plan(any_backend, rng, blur, reach):
         assert a @ got.source_weights == pytest.approx(want, rel=1e-5)
 
 
-@pytest.mark.small
-def test_two_points(any_backend):
-    """Two Diracs: log m = ((rho + epsilon)(log a + log b) - C) / (2 rho + epsilon)."""
-    epsilon, rho, x, y, a, b = 0.04, 0.25, 0.1, 0.8, 0.7, 2.0
-    mass = np.exp(
-        ((rho + epsilon) * np.log(a * b) - 0.5 * (x - y) ** 2) / (2 * rho + epsilon)
-    )  # fmt: skip
-    pair = ([a], [x]), ([b], [y])
-    solved = clmorph.sinkhorn(*pair, 0.2, 0.5, 1e-6, backend=any_backend)
-    got = clmorph.gradient(*pair, solved, backend=any_backend)
-    assert got.source_points[0, 0] == pytest.approx(mass * (x - y), rel=1e-5)
-    assert got.target_points[0, 0] == pytest.approx(mass * (y - x), rel=1e-5)
-    want = rho + epsilon * b - (rho + epsilon) * mass / a
-    assert got.source_weights[0] == pytest.approx(want, rel=1e-5)
-
-
 @pytest.mark.parametrize("reach", [0.3, None])
 def test_equal_measures_and_points_without_mass(any_backend, rng, reach):
     (a, x), _ = problem(rng, True)
@@ -126,21 +110,6 @@ def test_equal_measures_and_points_without_mass(any_backend, rng, reach):
     assert not moved.source_points[2].any()
     # The weight of a point far from the target should shrink, also if the point has no mass.
     assert np.ptp(moved.source_weights) > 0
-
-
-def test_translation_and_an_image(rng):
-    """Balanced and moved: the derivatives are -a_i shift, and -x shift up to a constant."""
-    (a, x), _ = problem(rng, True)
-    shift = np.array([0.3, -0.2])
-    found = clmorph.sinkhorn_divergence(
-        (a, x), (a, x + shift), 0.1, None, 1e-8, 20000, "numpy", gradient=True
-    )
-    np.testing.assert_allclose(found.gradient.source_points, -np.outer(a, shift), atol=1e-8)
-    along = x @ shift
-    np.testing.assert_allclose(found.gradient.source_weights, along.mean() - along, atol=1e-6)
-    measures = clmorph.lift(rng.random((4, 5, 3))), clmorph.lift(rng.random((5, 4, 3)))
-    found = clmorph.sinkhorn_divergence(*measures, 0.1, 0.3, backend="numpy", gradient=True)
-    assert found.gradient.source_points.shape == (20, 5)
 
 
 def test_no_gradient_of_other_problems(rng):
@@ -229,3 +198,20 @@ def test_truncated_sums(any_backend, rng, blur, length):
     for name in NAMES:
         limit = TOLERANCE * np.abs(getattr(want, name)).max()
         np.testing.assert_allclose(getattr(got, name), getattr(want, name), rtol=0, atol=limit)
+
+
+def test_mistakes_of_hessian_products_are_named(rng):
+    parts = [rng.random((6, 2)), rng.random(6) + 0.5, rng.random((8, 2)), rng.random(8) + 0.5]
+    change = [rng.standard_normal(each.shape) for each in parts]
+    pair = (parts[1], parts[0]), (parts[3], parts[2])
+    solved = clmorph.sinkhorn(*pair, blur=0.3, reach=0.5, backend="numpy")
+    good = clmorph.Gradient(*change)
+    for arguments, words in (
+        ((*pair, None, good), "solved"),
+        ((*pair, solved, None), "direction"),
+        ((*pair, solved, clmorph.Gradient(*change[::-1])), "direction: source_points"),
+        (((0 * parts[1] + [0, 1, 1, 1, 1, 1], parts[0]), pair[1], solved, good), "positive"),
+    ):
+        with pytest.raises(InputError, match=words) as caught:
+            clmorph.hessian_product(*arguments)
+        assert "\n" not in str(caught.value)
