@@ -34,6 +34,17 @@ def test_against_the_dense_plan(device, pair):
     assert np.allclose(plan.column_mass, got.sum(axis=0))
 
 
+def test_faint_points_keep_their_pairs(device):
+    """A threshold on the global maximum would silence them."""
+    rng = np.random.default_rng(0)
+    weights = 10 ** rng.uniform(-10, 0, (8, 8))
+    source, target = lift(rng.random((8, 8, 3)), weights=weights), lift(rng.random((8, 8, 3)))
+    potentials = sinkhorn(source, target, 0.2, 0.5, backend=device)
+    plan = transport_plan(source, target, potentials, backend=device)
+    assert np.all(np.diff(plan.indptr) > 0)
+    assert np.all(plan.column_mass > 0)
+
+
 def test_a_threshold_that_no_pair_exceeds(device, pair):
     source, target, potentials, dense = pair
     largest = f"{np.log(dense).max():.4g}"
