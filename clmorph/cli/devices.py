@@ -28,7 +28,7 @@ from clmorph.backends.opencl.devices.find import (
 )
 from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS, Finding, words_of
-from clmorph.cli.terminal import NOTES, RESULTS, note
+from clmorph.cli.terminal import NOTES, note, print_table
 from clmorph.errors import ClmorphError, DeviceError, InputError, OutputError
 
 _TRYING = "trying OpenCL devices (remembered from the second time on)"
@@ -69,27 +69,22 @@ def list_devices(as_json: bool, again: bool) -> int:
     if auto:
         for line in missing_files() if sys.platform == "linux" else ():
             note(line)
-    else:
-        click.echo("No OpenCL device is usable. What helps:")
-        for line in advice():
-            click.echo(f"  {line}")
-        return 1
-    return 0
+        return 0
+    click.echo("No OpenCL device is usable. What helps:")
+    for line in advice():
+        click.echo(f"  {line}")
+    return 1
 
 
 def _print_table(devices: tuple[Device, ...], auto: str) -> None:
-    from rich.table import Table
-
     from clmorph.backends.opencl.devices.quirks import has_float64
 
-    table = Table(box=None, pad_edge=False)
-    for title in ("", "index", "device", "platform, driver", "type", "units", "memory", "float64"):
-        table.add_column(title, overflow="fold")
-    table.add_column("10⁹ pairs/s", justify="right")
-    table.add_column("usable", overflow="fold")
-    for device in devices:
-        speed = device.pairs_per_second / 1e9
-        table.add_row(
+    titles = (
+        "", "index", "device", "platform, driver", "type", "units", "memory", "float64",
+        "10⁹ pairs/s", "usable",
+    )  # fmt: skip
+    rows = [
+        (
             "auto" if device.index == auto else "",
             device.index,
             device.name,
@@ -98,10 +93,12 @@ def _print_table(devices: tuple[Device, ...], auto: str) -> None:
             str(device.compute_units),
             f"{device.memory / 2**30:.0f} GiB",
             "yes" if has_float64(device.handle) else "no",
-            f"{speed:.1f}" if speed else "",
+            f"{device.pairs_per_second / 1e9:.1f}" if device.pairs_per_second else "",
             "yes" if device.usable else f"no: {device.reason}",
         )
-    RESULTS.print(table)
+        for device in devices
+    ]
+    print_table(titles, rows, right=["10⁹ pairs/s"])
 
 
 def _choose(spec: str | None, every: bool, even_wrong: bool = False) -> list[Device]:
@@ -216,17 +213,15 @@ def _check_one(device: Device, kernels: Sequence[str]) -> dict[str, Any]:
 
 
 def _print_findings(findings: list[Finding]) -> None:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for title in ("operation", "largest error", "tolerance", "", "share", "verdict"):
-        table.add_column(title, justify="right" if title == "share" else "left")
-    for f in findings:
-        table.add_row(
+    titles = "operation", "largest error", "tolerance", "", "share", "verdict"
+    rows = [
+        (
             f.name, f"{f.error:.1e}", f"{f.tolerance:.1e}", f.unit, _percent(f),
             "pass" if f.passed else "FAIL",
-        )  # fmt: skip
-    RESULTS.print(table)
+        )
+        for f in findings
+    ]  # fmt: skip
+    print_table(titles, rows, right=["share"])
     if close := _nearest(findings):
         click.echo(f"nearest its tolerance: {close.name} ({_percent(close)} of it)")
 

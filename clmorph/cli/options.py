@@ -6,8 +6,9 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
+from functools import reduce
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import rich_click as click
 
@@ -36,7 +37,7 @@ from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recolor_options import RecolorOptions
 from clmorph.transport.options import PlanOptions, SolverOptions
 
-Command = TypeVar("Command", bound=Callable[..., Any])
+Decorator = Callable[[Any], Any]
 
 
 class FileName(click.Path):
@@ -198,56 +199,43 @@ def in_option_names(message: str, more: Mapping[str, str] | None = None) -> str:
     return re.sub(r"\b(\w+)=(None\b|True\b|)", named, message)
 
 
-def _together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
+def _together(*decorators: Decorator) -> Decorator:
     """Combine decorators into one; the first one is the outermost."""
-
-    def decorate(command: Command) -> Command:
-        for decorator in reversed(decorators):
-            command = decorator(command)
-        return command
-
-    return decorate
+    return lambda command: reduce(lambda done, each: each(done), reversed(decorators), command)
 
 
-def _option(panel: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
+def _option(panel: str, *names: str, **settings: Any) -> Decorator:
     return click.option(*names, panel=panel, **settings)
 
 
-def _of(
-    options: type[Options], *names: str, usual: type[Options] = MorphOptions
-) -> Callable[[Command], Command]:
+def _of(options: type[Options], *names: str, usual: type[Options] = MorphOptions) -> Decorator:
     """Return the decorator for all options of a class, or for the named ones."""
     known = specifications(options)
     return _together(*(_one(name, known[name], getattr(usual, name)) for name in names or known))
 
 
-def _one(name: str, known: Option, default: Any) -> Callable[[Command], Command]:
+def _one(name: str, known: Option, default: Any) -> Decorator:
     """Return the decorator for one option of the command line."""
-    line = names_outside()[name]
-    is_flag = not known.kind.metavar
+    line, text = names_outside()[name], known.help
+    if not known.kind.metavar:
+        both = f"{line}/--no-{line[2:]}"
+        return _option(known.panel, both, name, is_flag=True, default=None, help=text)
     # The default of `MorphOptions` can differ from that of the stage's own class.
     usual = to_outside(known, default)
-    number = not isinstance(usual, str)
-    unit = f" {known.unit}" if known.unit and number else ""
-    shown = "" if is_flag or usual == "none" else f"  [default: {_plainly(usual)}{unit}]"
-    shown = f"  [unit: {known.unit}]{shown}" if known.unit and not number else shown
-    if is_flag:
-        return _option(
-            known.panel, f"{line}/--no-{line[2:]}", name, is_flag=True, default=None,
-            help=known.help,
-        )  # fmt: skip
+    shown = f"{usual:g}" if isinstance(usual, float) else str(usual)
+    if known.unit and isinstance(usual, str):
+        text += f"  [unit: {known.unit}]"
+    elif known.unit:
+        shown += f" {known.unit}"
+    text += "" if usual == "none" else f"  [default: {shown}]"
     kind = Value(name, known)
     return _option(
-        known.panel, line, name, type=kind, metavar=kind.name, help=known.help + shown,
+        known.panel, line, name, type=kind, metavar=kind.name, help=text,
         multiple=known.kind.several,
     )  # fmt: skip
 
 
-def _plainly(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _transport(*guides: str) -> Callable[[Command], Command]:
+def _transport(*guides: str) -> Decorator:
     """Return the decorator for the options of the transport, with the named guides or all."""
     return _together(
         _of(BudgetOptions),
@@ -278,9 +266,7 @@ rearrange_options = _together(
 recolor_options = _of(RecolorOptions, usual=RecolorOptions)
 
 
-def _outputs(
-    help: str, formats: Iterable[str], *style: Callable[[Any], Any]
-) -> Callable[[Any], Any]:
+def _outputs(help: str, formats: Iterable[str], *style: Decorator) -> Decorator:
     """Return the decorator for the options of output files."""
     return _together(
         _option("File", "-o", "--output", type=OutputName(), multiple=True, help=help),

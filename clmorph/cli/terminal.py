@@ -2,19 +2,13 @@
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import IO, Any, Self, cast
 
+from rich import progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.table import Table
 
 from clmorph._shared.printable import MESSAGE, printable
 from clmorph.output.save import Output
@@ -56,6 +50,18 @@ def note(text: object) -> None:
     say(f"note: {text}")
 
 
+def print_table(
+    titles: Iterable[str], rows: Iterable[Iterable[str]], right: Iterable[str] = ()
+) -> None:
+    """Print rows under the titles of their columns, of which those of `right` are set right."""
+    table = Table(box=None, pad_edge=False)
+    for title in titles:
+        table.add_column(title, "", overflow="fold", justify="right" if title in right else "left")
+    for row in rows:
+        table.add_row(*row)
+    RESULTS.print(table)
+
+
 class Stages:
     """Progress bars, one for each stage; they are hidden if standard error is no terminal.
 
@@ -65,19 +71,19 @@ class Stages:
     """
 
     def __init__(self, began: float | None = None) -> None:
-        self._bars = Progress(
-            TextColumn("{task.description:12}", markup=False),
-            BarColumn(),
-            TextColumn("{task.percentage:>3.0f} %"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(compact=True),
-            TextColumn("{task.fields[note]}", markup=False),
+        self._bars = progress.Progress(
+            progress.TextColumn("{task.description:12}", markup=False),
+            progress.BarColumn(),
+            progress.TextColumn("{task.percentage:>3.0f} %"),
+            progress.TimeElapsedColumn(),
+            progress.TextColumn("left"),
+            progress.TimeRemainingColumn(compact=True),
+            progress.TextColumn("{task.fields[note]}", markup=False),
             console=NOTES,
             disable=not NOTES.is_terminal,
             transient=True,
         )
-        self._tasks: dict[str, TaskID] = {}
+        self._tasks: dict[str, progress.TaskID] = {}
         self._counted_to = time.perf_counter() if began is None else began
         self.seconds: dict[str, float] = {}
 
