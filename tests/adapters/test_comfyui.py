@@ -222,6 +222,9 @@ def test_mixes(graph, torch):
     ((found,), _) = asked(graph, "Mix", given | more)
     assert tuple(found.shape) == (4, 10, 12, 3)
     assert np.array_equal(found.numpy()[3], Pictures.several[0].numpy()[0])
+    # What stands in the text of options wins over the node's own size, as it does for a morph.
+    ((found,), _) = asked(graph, "Mix", given | {"grid": 3, "options": f"{QUICK}\nsize = 6"})
+    assert tuple(found.shape) == (3, 5, 6, 3)
 
 
 def test_rearranging(graph, torch, rng):

@@ -4,13 +4,15 @@ A node is a class with the names that ComfyUI asks for: ``INPUT_TYPES``, ``RETUR
 ``FUNCTION``, ``CATEGORY`` and ``DESCRIPTION``.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
 from clmorph._shared.options import Options
 from clmorph._shared.printable import printable
-from clmorph._shared.typing import AnyArray
+from clmorph._shared.typing import AnyArray, Array
 from clmorph.adapters.comfyui import widgets
 from clmorph.adapters.comfyui.running import Running, input_path
 from clmorph.adapters.comfyui.tensors import (
@@ -42,9 +44,10 @@ LUT = "CLMORPH_LUT"
 #: The names of the inputs for pictures of a mix.
 LETTERS = "abcd"
 Inputs = dict[str, widgets.Widget]
-#: Inputs of the nodes that recolor.
+#: Inputs of several nodes, or several inputs of one.
 RECOLORED = widgets.image("The pictures to be recolored.")
 MASK = widgets.mask("1 where pictures are recolored; other pixels stay.")
+TRANSPARENT = widgets.mask("1 where the picture is transparent, as Load Image gives it.")
 
 
 class Node:
@@ -79,15 +82,22 @@ class NodeWithOptions(Node):
         return widgets.verdict(options, cls.OPTIONS)
 
 
-def _frames(found: FrameSequence, frames: int, time: float, running: Running) -> list[AnyArray]:
-    """Return all frames of a film, or the one at a time."""
-    wanted = [time] if frames == 1 else found.times.tolist()
-    return of_one_size(list(running.each(map(found.frame, wanted))), found.pixelated)
-
-
-def _sized(size: int) -> dict[str, Any]:
-    """Return the option `size`, which is 0 in ComfyUI for pictures that are kept whole."""
-    return {"size": size or None}
+def _films(
+    source: list[Array],
+    target: list[Array],
+    frames: int,
+    time: float,
+    make: Callable[..., FrameSequence],
+) -> list[AnyArray]:
+    """Return all frames of the films of pairs of pictures, or of each the frame at a time."""
+    pairs, made = paired(source=source, target=target), list[AnyArray]()
+    running = Running(len(pairs) * (1 + frames))
+    for one, other in pairs:
+        found = make(one, other, progress=running)
+        running.unit()
+        wanted = [time] if frames == 1 else found.times.tolist()
+        made += of_one_size(list(running.each(map(found.frame, wanted))), found.pixelated)
+    return of_one_size(made)
 
 
 class Morph(NodeWithOptions):
@@ -109,10 +119,8 @@ class Morph(NodeWithOptions):
         "size": widgets.SIZE,
     }
     OPTIONAL: ClassVar[Inputs] = {
-        **dict.fromkeys(
-            ("source_mask", "target_mask"),
-            widgets.mask("1 where the picture is transparent, as Load Image gives it."),
-        ),
+        "source_mask": TRANSPARENT,
+        "target_mask": TRANSPARENT,
         **NodeWithOptions.OPTIONAL,
     }
 
@@ -131,22 +139,14 @@ class Morph(NodeWithOptions):
         device: str = "auto",
     ) -> tuple[Any, Any]:
         """Return the frames of all morphs, one after the other."""
-        pairs = paired(
-            source=as_images("source", source, source_mask),
-            target=as_images("target", target, target_mask),
-        )
-        running = Running(len(pairs) * (1 + frames))
-        given = {"n_frames": max(frames, 2), "ease": ease} | _sized(size)
+        sources = as_images("source", source, source_mask)
+        targets = as_images("target", target, target_mask)
+        given = {"n_frames": max(frames, 2), "ease": ease, "size": size or None}
         given |= widgets.more_options(options, self.OPTIONS)
-        operations, made = get_backend(device), []
-        for one, other in pairs:
-            found = morph(
-                one, other, preset=None if preset == AUTO else preset, backend=operations,
-                progress=running, **given,
-            )  # fmt: skip
-            running.unit()
-            made += _frames(found, frames, time, running)
-        return as_image_and_mask(of_one_size(made), has_opacity(source, target))
+        named = None if preset == AUTO else preset
+        make = partial(morph, preset=named, backend=get_backend(device), **given)
+        made = _films(sources, targets, frames, time, make)
+        return as_image_and_mask(made, has_opacity(source, target))
 
 
 class Mix(NodeWithOptions):
@@ -197,12 +197,13 @@ class Mix(NodeWithOptions):
         if grid == 1:
             raise InputError("grid=1: expected 0 for one mix by weights, or 2 and more")
         groups = paired(**batches)
+        more = {"size": size or None} | widgets.more_options(options, self.OPTIONS)
         running, operations, made = Running(2 * len(groups)), get_backend(device), []
         for group in groups:
             found = mix(
                 list(group), None if grid else weights, grid=grid or None,
                 preset=None if preset == AUTO else preset, backend=operations, progress=running,
-                **_sized(size), **widgets.more_options(options, self.OPTIONS),
+                **more,
             )  # fmt: skip
             running.unit()
             made += of_one_size(found.drawn(), found.pixelated)
@@ -242,16 +243,12 @@ class Rearrange(NodeWithOptions):
         device: str = "auto",
     ) -> tuple[Any, Any]:
         """Return the frames of all films, one after the other."""
-        pairs = paired(source=as_images("source", source), target=as_images("target", target))
-        running = Running(len(pairs) * (1 + frames))
-        given = {"n_frames": max(frames, 2), "color_weight": color_weight} | _sized(size)
+        sources, targets = as_images("source", source), as_images("target", target)
+        given = {"n_frames": max(frames, 2), "color_weight": color_weight, "size": size or None}
         given |= widgets.more_options(options, self.OPTIONS)
-        operations, made = get_backend(device), []
-        for one, other in pairs:
-            found = rearrange(one, other, backend=operations, progress=running, **given)
-            running.unit()
-            made += _frames(found, frames, time, running)
-        return as_image_and_mask(of_one_size(made), has_opacity(source, target))
+        make = partial(rearrange, backend=get_backend(device), **given)
+        made = _films(sources, targets, frames, time, make)
+        return as_image_and_mask(made, has_opacity(source, target))
 
 
 class Recolor(NodeWithOptions):
