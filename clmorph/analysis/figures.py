@@ -218,12 +218,7 @@ def mass_shares(measure: Measure, mass: Array) -> Array:
 
 
 def draw_mass(
-    figure: Any,
-    axes: Any,
-    picture: Array,
-    share: Array,
-    largest: float,
-    colors: str,
+    figure: Any, axes: Any, picture: Array, share: Array, largest: float, colors: str
 ) -> None:
     """Draw the share of each pixel's mass that dies or is born, over the picture in pale gray."""
     from matplotlib import colormaps

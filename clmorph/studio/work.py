@@ -25,7 +25,7 @@ from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import recognized
 from clmorph.pipeline.recipe import picture_entries, recipe
 from clmorph.studio.choices import LANDMARKS_FOUND, Choices, command_line, memory_given, python_code
-from clmorph.studio.making import MAKERS, Film, Task, small_tasks
+from clmorph.studio.making import MAKERS, Task, small_tasks
 from clmorph.studio.tabs import Result, Shown, Tab
 
 #: Seconds between two reports of progress.
@@ -155,7 +155,6 @@ def write_file(result: Result, path: Path, report: StageProgress) -> None:
 
 def write_still(result: Result, time: float, path: Path) -> None:
     """Write the frame of a finished film at a time, from 0 to the number of its parts."""
-    assert isinstance(result.made, Film)
     with atomic_path(path) as file:
         write_picture(result.made.still(time), {**result.parameters, "time": time}, file)
 
