@@ -222,8 +222,24 @@ def test_mixes(graph, torch):
     ((found,), _) = asked(graph, "Mix", given | more)
     assert tuple(found.shape) == (4, 10, 12, 3)
     assert np.array_equal(found.numpy()[3], Pictures.several[0].numpy()[0])
-    # What stands in the text of options wins over the node's own size, as it does for a morph.
-    ((found,), _) = asked(graph, "Mix", given | {"grid": 3, "options": f"{QUICK}\nsize = 6"})
+
+
+@pytest.mark.parametrize("name", ["Morph", "Mix"])
+def test_the_text_of_options_wins_over_a_nodes_own(graph, torch, name):
+    Pictures.images, Pictures.several = squares(torch), [squares(torch, shift=4)]
+    options = {"preset": "pixel-art", "options": f"{QUICK}\npreset = 'photo'\nsize = 6"}
+    given = FILM | options
+    if name == "Mix":
+        weights = dict.fromkeys(("weight_a", "weight_b", "weight_c", "weight_d"), 1.0)
+        given = {
+            "image_a": ("p", 0),
+            "image_b": ("p", 2),
+            "grid": 3,
+            **weights,
+            **COMMON,
+            **options,
+        }
+    ((found,), _) = asked(graph, name, given)
     assert tuple(found.shape) == (3, 5, 6, 3)
 
 

@@ -5,14 +5,13 @@ A node is a class with the names that ComfyUI asks for: ``INPUT_TYPES``, ``RETUR
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
 from clmorph._shared.options import Options
 from clmorph._shared.printable import printable
-from clmorph._shared.typing import AnyArray, Array
+from clmorph._shared.typing import AnyArray
 from clmorph.adapters.comfyui import widgets
 from clmorph.adapters.comfyui.running import Running, input_path
 from clmorph.adapters.comfyui.tensors import (
@@ -82,25 +81,42 @@ class NodeWithOptions(Node):
         return widgets.verdict(options, cls.OPTIONS)
 
 
-def _films(
-    source: list[Array],
-    target: list[Array],
-    frames: int,
-    time: float,
-    make: Callable[..., FrameSequence],
-) -> list[AnyArray]:
-    """Return all frames of the films of pairs of pictures, or of each the frame at a time."""
-    pairs, made = paired(source=source, target=target), list[AnyArray]()
-    running = Running(len(pairs) * (1 + frames))
-    for one, other in pairs:
-        found = make(one, other, progress=running)
-        running.unit()
-        wanted = [time] if frames == 1 else found.times.tolist()
-        made += of_one_size(list(running.each(map(found.frame, wanted))), found.pixelated)
-    return of_one_size(made)
+class FilmNode(NodeWithOptions):
+    """A node that makes the film of each pair of pictures of two batches, or a frame of it."""
+
+    make: ClassVar[Callable[..., FrameSequence]]
+
+    def run(
+        self,
+        source: Any,
+        target: Any,
+        frames: int,
+        time: float,
+        size: int,
+        source_mask: Any = None,
+        target_mask: Any = None,
+        options: str = "",
+        device: str = "auto",
+        **given: Any,
+    ) -> tuple[Any, Any]:
+        """Return the frames of all films, one after the other."""
+        pairs = paired(
+            source=as_images("source", source, source_mask),
+            target=as_images("target", target, target_mask),
+        )
+        running = Running(len(pairs) * (1 + frames))
+        given |= {"n_frames": max(frames, 2), "size": size or None}
+        given |= widgets.more_options(options, self.OPTIONS)
+        operations, made = get_backend(device), list[AnyArray]()
+        for one, other in pairs:
+            found = self.make(one, other, backend=operations, progress=running, **given)
+            running.unit()
+            wanted = [time] if frames == 1 else found.times.tolist()
+            made += of_one_size(list(running.each(map(found.frame, wanted))), found.pixelated)
+        return as_image_and_mask(of_one_size(made), has_opacity(source, target))
 
 
-class Morph(NodeWithOptions):
+class Morph(FilmNode):
     """Morph each picture of a batch into the one of another batch."""
 
     DESCRIPTION = (
@@ -124,29 +140,10 @@ class Morph(NodeWithOptions):
         **NodeWithOptions.OPTIONAL,
     }
 
-    def run(
-        self,
-        source: Any,
-        target: Any,
-        frames: int,
-        time: float,
-        ease: Any,
-        preset: Any,
-        size: int,
-        source_mask: Any = None,
-        target_mask: Any = None,
-        options: str = "",
-        device: str = "auto",
-    ) -> tuple[Any, Any]:
-        """Return the frames of all morphs, one after the other."""
-        sources = as_images("source", source, source_mask)
-        targets = as_images("target", target, target_mask)
-        given = {"n_frames": max(frames, 2), "ease": ease, "size": size or None}
-        given |= widgets.more_options(options, self.OPTIONS)
-        named = None if preset == AUTO else preset
-        make = partial(morph, preset=named, backend=get_backend(device), **given)
-        made = _films(sources, targets, frames, time, make)
-        return as_image_and_mask(made, has_opacity(source, target))
+    @staticmethod
+    def make(*pair: Any, preset: Any, **given: Any) -> FrameSequence:
+        """Return a morph."""
+        return morph(*pair, preset=None if preset == AUTO else preset, **given)
 
 
 class Mix(NodeWithOptions):
@@ -197,13 +194,13 @@ class Mix(NodeWithOptions):
         if grid == 1:
             raise InputError("grid=1: expected 0 for one mix by weights, or 2 and more")
         groups = paired(**batches)
-        more = {"size": size or None} | widgets.more_options(options, self.OPTIONS)
+        more = {"preset": None if preset == AUTO else preset, "size": size or None}
+        more |= widgets.more_options(options, self.OPTIONS)
         running, operations, made = Running(2 * len(groups)), get_backend(device), []
         for group in groups:
             found = mix(
-                list(group), None if grid else weights, grid=grid or None,
-                preset=None if preset == AUTO else preset, backend=operations, progress=running,
-                **more,
+                list(group), None if grid else weights, grid=grid or None, backend=operations,
+                progress=running, **more,
             )  # fmt: skip
             running.unit()
             made += of_one_size(found.drawn(), found.pixelated)
@@ -212,7 +209,7 @@ class Mix(NodeWithOptions):
         return as_image_and_mask(of_one_size(made), opacity)
 
 
-class Rearrange(NodeWithOptions):
+class Rearrange(FilmNode):
     """Move the pixels of a picture so that they form another one."""
 
     DESCRIPTION = (
@@ -221,6 +218,7 @@ class Rearrange(NodeWithOptions):
     )
 
     OPTIONS = RearrangeOptions
+    make = staticmethod(rearrange)
 
     REQUIRED: ClassVar[Inputs] = {
         "source": widgets.image("The pictures whose pixels are moved."),
@@ -230,25 +228,6 @@ class Rearrange(NodeWithOptions):
         "size": widgets.whole(256, *widgets.SIDES, widgets.SIZE[1]["tooltip"]),
         "color_weight": widgets.option(RearrangeOptions, "color_weight"),
     }
-
-    def run(
-        self,
-        source: Any,
-        target: Any,
-        frames: int,
-        time: float,
-        size: int,
-        color_weight: float,
-        options: str = "",
-        device: str = "auto",
-    ) -> tuple[Any, Any]:
-        """Return the frames of all films, one after the other."""
-        sources, targets = as_images("source", source), as_images("target", target)
-        given = {"n_frames": max(frames, 2), "color_weight": color_weight, "size": size or None}
-        given |= widgets.more_options(options, self.OPTIONS)
-        make = partial(rearrange, backend=get_backend(device), **given)
-        made = _films(sources, targets, frames, time, make)
-        return as_image_and_mask(made, has_opacity(source, target))
 
 
 class Recolor(NodeWithOptions):
