@@ -5,6 +5,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -39,14 +40,6 @@ def _find() -> tuple[Device, ...]:
         return find_devices()
 
 
-def _auto_index() -> str:
-    """Return the index of the device that "auto" selects; '' if no device works."""
-    try:
-        return choose_device("auto").index
-    except DeviceError:
-        return ""
-
-
 def list_devices(as_json: bool, again: bool) -> int:
     """Print every OpenCL device; return 1 if none is usable, else 0."""
     if again:
@@ -57,7 +50,9 @@ def list_devices(as_json: bool, again: bool) -> int:
             "what is learned of devices cannot be kept; set XDG_CACHE_HOME to a folder that "
             "can be written to"
         )
-    auto = _auto_index()
+    auto = ""
+    with suppress(DeviceError):  # no device works
+        auto = choose_device("auto").index
     if as_json:
         records = [device.record() | {"auto": device.index == auto} for device in devices]
         click.echo(json.dumps(records, indent=1))
@@ -103,10 +98,8 @@ def _print_table(devices: tuple[Device, ...], auto: str) -> None:
 
 def _choose(spec: str | None, every: bool, even_wrong: bool = False) -> list[Device]:
     """Return the device that the user chose, or every usable device."""
-    if every:
-        devices = [device for device in _find() if device.usable]
-        if devices:
-            return devices
+    if every and (devices := [device for device in _find() if device.usable]):
+        return devices
     with NOTES.status(_TRYING):
         return [choose_device(spec or "auto", even_wrong)]
 
@@ -222,8 +215,13 @@ def _print_findings(findings: list[Finding]) -> None:
         for f in findings
     ]  # fmt: skip
     print_table(titles, rows, right=["share"])
-    if close := _nearest(findings):
+    if findings:
+        close = max(findings, key=_share)
         click.echo(f"nearest its tolerance: {close.name} ({_percent(close)} of it)")
+
+
+def _share(finding: Finding) -> float:
+    return finding.share
 
 
 def _percent(finding: Finding) -> str:
@@ -234,7 +232,7 @@ def _remember(device: Device, findings: list[Finding], whole: bool) -> None:
     """Remember that a device computes wrongly, or forget it if it has passed everything."""
     failed = [finding for finding in findings if not finding.passed]
     if failed:
-        worst = max(failed, key=lambda finding: finding.share)
+        worst = max(failed, key=_share)
         mark_unusable(device.handle, f"{WRONG}clmorph check: {worst}")
         note("the device is unusable from now on; clmorph devices --again forgets that")
     elif whole and not device.usable:
@@ -305,16 +303,10 @@ def _check_morph(operations: Operations) -> Iterator[Finding]:
     yield Finding("morph", 255 * error, 1.0, "of 255")
 
 
-def _nearest(findings: Sequence[Finding]) -> Finding | None:
-    """Return the finding whose error is the largest share of its tolerance; None if none is."""
-    return max(findings, key=lambda finding: finding.share, default=None)
-
-
 def _bundle(
     device: Any, findings: list[Finding], pairs_per_second: float, seconds: dict[str, Any]
 ) -> dict[str, Any]:
     """Collect the data about a device for a report in JSON, without personal data."""
-    close = _nearest(findings)
     return {
         "clmorph": __version__,
         "system": f"{platform.system()} {platform.machine()}",
@@ -322,7 +314,7 @@ def _bundle(
         "pairs_per_second": pairs_per_second,
         "seconds": seconds,
         "findings": [_record(finding) for finding in findings],
-        "nearest": None if close is None else close.name,
+        "nearest": max(findings, key=_share).name if findings else None,
     }
 
 

@@ -119,19 +119,13 @@ def _pictures(given: Mapping[str, Any]) -> tuple[Path, ...]:
 
 @cli.command(epilog=PRESET_LINES, cls=options.LabeledCommand)
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.InputName())
-@options.file_options
-@options.preset_option
-@options.draft_option
+@options.film_options
 @_config_option()
 @click.option(
     "--dump-config", is_flag=True, panel="Settings",
     help="Print all options as TOML, and do nothing else.",
 )  # fmt: skip
-@options.json_option
 @options.morph_options
-@options.map_options
-@options.max_pixels_option
-@options.device_options
 @click.pass_context
 def morph(context: click.RichContext, /, **given: Any) -> None:
     """Morph picture A into picture B, and on to C, D and so forth.
@@ -258,12 +252,8 @@ def _request(
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.InputName())
 @options.file_options
 @_config_option(RearrangeOptions)
-@options.json_option
 @options.rearrange_options
-@options.max_pixels_option
-@options.device_options
-@click.pass_context
-def rearrange(context: click.RichContext, /, **given: Any) -> None:
+def rearrange(**given: Any) -> None:
     """Move the pixels of picture A so that they form picture B, and on to C, D and so forth.
 
     \b
@@ -282,7 +272,6 @@ def rearrange(context: click.RichContext, /, **given: Any) -> None:
 @click.argument("images", metavar="PHOTO LIKE", nargs=-1, type=options.InputName())
 @options.picture_options
 @_config_option(RecolorOptions)
-@options.json_option
 @options.recolor_options
 @click.option(
     "--mask", type=options.InputName(), panel="Color",
@@ -301,10 +290,8 @@ def rearrange(context: click.RichContext, /, **given: Any) -> None:
     "--lut-size", type=click.Choice(["17", "33", "65"]), panel="Output",
     help="Nodes of a .cube along each axis, by default 33.",
 )  # fmt: skip
-@options.max_pixels_option
-@options.device_options
-@click.pass_context
-def recolor(context: click.RichContext, /, **given: Any) -> None:
+@options.input_options
+def recolor(**given: Any) -> None:
     """Give PHOTO the colors of LIKE; every pixel stays in its place.
 
     \b
@@ -354,14 +341,9 @@ def recolor(context: click.RichContext, /, **given: Any) -> None:
     help="A film in place of a picture: the stops of a path through the mixes, a for the first "
     "picture, b for the second one, and + for the even mix of all, such as ab+dca.",
 )  # fmt: skip
-@options.file_options
-@options.preset_option
-@options.draft_option
+@options.film_options
 @_config_option(mixes=True)
-@options.json_option
 @options.mix_options
-@options.max_pixels_option
-@options.device_options
 @click.pass_context
 def mix(context: click.RichContext, /, **given: Any) -> None:
     """Mix several pictures: a grid of pictures between them, or a film.
@@ -394,12 +376,7 @@ def mix(context: click.RichContext, /, **given: Any) -> None:
     "-o", "--output", type=options.OutputName(), panel="File",
     help="Draw a picture too: .png, .svg or .pdf.",
 )  # fmt: skip
-@options.preset_option
-@options.json_option
 @options.inspect_options
-@options.map_options
-@options.max_pixels_option
-@options.device_options
 @click.pass_context
 def inspect(context: click.RichContext, /, **given: Any) -> None:
     """Show what a morph would move: how far, how much, how well; how long it would take.

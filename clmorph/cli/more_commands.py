@@ -57,8 +57,7 @@ SHELLS = ("bash", "zsh", "fish")
     help="Memory of a local worker, such as 4GB; one that takes more is started again, and its "
     "pair fails.  [default: equal shares]",
 )  # fmt: skip
-@options.max_pixels_option
-@options.device_options
+@options.input_options
 def batch(**given: Any) -> int:
     """Morph thousands of pairs on the workers of Dask (extra "dask").
 

@@ -248,24 +248,6 @@ def _transport(*guides: str) -> Decorator:
     )
 
 
-_frames = _together(_of(PlanOptions), _of(RenderOptions))
-morph_options = _together(_of(PlaybackOptions), _transport(), _frames)
-mix_options = _together(_of(PlaybackOptions), _transport("landmarks"), _frames)
-inspect_options = _together(
-    _transport(), _of(PlanOptions, "log_threshold"), _of(PlaybackOptions, "n_frames")
-)
-
-rearrange_options = _together(
-    _of(PlaybackOptions),
-    _of(
-        RearrangeOptions, "size", "color_weight", "color_space", "extent", "gap", "seed",
-        usual=RearrangeOptions,
-    ),
-)  # fmt: skip
-
-recolor_options = _of(RecolorOptions, usual=RecolorOptions)
-
-
 def _outputs(help: str, formats: Iterable[str], *style: Decorator) -> Decorator:
     """Return the decorator for the options of output files."""
     return _together(
@@ -338,3 +320,27 @@ max_pixels_option = _option(
     "Transport", "--max-pixels", type=int,
     help=f"Refuse picture files with more pixels.  [default: {MAX_PIXELS}]",
 )  # fmt: skip
+input_options = _together(max_pixels_option, device_options)
+
+film_options = _together(file_options, preset_option, draft_option)
+_frames = _together(_of(PlanOptions), _of(RenderOptions))
+morph_options = _together(
+    json_option, _of(PlaybackOptions), _transport(), _frames, map_options, input_options
+)
+mix_options = _together(
+    json_option, _of(PlaybackOptions), _transport("landmarks"), _frames, input_options
+)
+inspect_options = _together(
+    preset_option, json_option, _transport(), _of(PlanOptions, "log_threshold"),
+    _of(PlaybackOptions, "n_frames"), map_options, input_options,
+)  # fmt: skip
+rearrange_options = _together(
+    json_option,
+    _of(PlaybackOptions),
+    _of(
+        RearrangeOptions, "size", "color_weight", "color_space", "extent", "gap", "seed",
+        usual=RearrangeOptions,
+    ),
+    input_options,
+)  # fmt: skip
+recolor_options = _together(json_option, _of(RecolorOptions, usual=RecolorOptions))
