@@ -197,7 +197,7 @@ def _picture(measure: Measure) -> Array:
     return np.asarray(image * alpha + np.choose((x + y) % 2, CHECKS)[..., None] * (1 - alpha))
 
 
-def show(axes: Any, image: ArrayLike, **options: Any) -> Any:
+def show(axes: Any, image: ArrayLike) -> Any:
     """Draw an image with sharp pixels of equal size, without axes."""
     pixels = np.clip(np.asarray(image, float), 0, 1)
     height, width = pixels.shape[:2]
@@ -205,7 +205,7 @@ def show(axes: Any, image: ArrayLike, **options: Any) -> Any:
     axes.set_axis_off()
     return axes.imshow(
         pixels.repeat(factor, axis=0).repeat(factor, axis=1),
-        extent=(-0.5, width - 0.5, height - 0.5, -0.5), interpolation="hanning", **options,
+        extent=(-0.5, width - 0.5, height - 0.5, -0.5), interpolation="hanning",
     )  # fmt: skip
 
 
@@ -220,13 +220,7 @@ def step_of(shape: tuple[int, ...], count: int = ARROWS) -> int:
 
 
 def draw_field(
-    axes: Any,
-    image: ArrayLike,
-    moved: Displacement,
-    longest: float,
-    *,
-    count: int = ARROWS,
-    width: float = 0.0045,
+    axes: Any, image: ArrayLike, moved: Displacement, longest: float, *, count: int = ARROWS
 ) -> Any:
     """Draw displacement over a pale image as arrows of true length; return the artist."""
     show(axes, pale(image))
@@ -243,7 +237,7 @@ def draw_field(
     return axes.quiver(
         x, y, field[..., 0], field[..., 1], length, cmap="plasma", clim=(0, max(longest, 1e-9)),
         angles="xy", scale_units="xy", scale=1, headwidth=3.5, headlength=4,
-        headaxislength=3.6, minlength=0.5, width=width,
+        headaxislength=3.6, minlength=0.5, width=0.0045,
     )  # fmt: skip
 
 

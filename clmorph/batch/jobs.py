@@ -4,7 +4,7 @@ import csv
 import io
 import itertools
 import json
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -220,11 +220,9 @@ def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> li
             "choose another folder of outputs"
         )
     ambiguous = len({path.stem for path in pictures}) < len(pictures)
-    pairs: Callable[[Iterable[Path]], Iterable[tuple[Path, Path]]] = (
-        itertools.pairwise if chain else lambda them: itertools.combinations(them, 2)
-    )
     jobs = []
-    together = list(pairs(pictures))
+    pairs = itertools.pairwise(pictures) if chain else itertools.combinations(pictures, 2)
+    together = list(pairs)
     names = [[path.name if ambiguous else path.stem for path in pair] for pair in together]
     # Names with dashes of their own can make two pairs look the same.
     apart = next(

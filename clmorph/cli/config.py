@@ -55,7 +55,11 @@ class Named:
                     "pictures beside it or in the current folder, without a folder; name the "
                     "pictures in the command line"
                 )
-            found.append(path := self._sought(name))
+            try:
+                beside = self.file.parent / name
+                found.append(path := beside if beside.exists() else Path(name))
+            except OSError as error:
+                raise InputError(f"{self.file}: {shown(name)}: {reason_of(error)}") from None
             if not path.exists():
                 raise FileError(
                     f"{path}: no such file, but the settings name it; put it there, or name the "
@@ -64,13 +68,6 @@ class Named:
             if known is not None and path.is_file() and recipes.digest(path) != known:
                 note(f"{path} is not the file that was used then")
         return tuple(found)
-
-    def _sought(self, name: str) -> Path:
-        try:
-            beside = self.file.parent / name
-            return beside if beside.exists() else Path(name)
-        except OSError as error:
-            raise InputError(f"{self.file}: {shown(name)}: {reason_of(error)}") from None
 
 
 def is_bare(name: str, *, windows: bool = os.name == "nt") -> bool:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS
 from clmorph.cli.terminal import NOTES, note, print_table
 from clmorph.errors import ClmorphError, DeviceError, InputError, OutputError
 
+_share = attrgetter("share")
 _TRYING = "trying OpenCL devices (remembered from the second time on)"
 
 
@@ -202,7 +204,16 @@ def _check_one(device: Device, kernels: Sequence[str]) -> dict[str, Any]:
         else f"all took {elapsed:.2f} s with NumPy's; the device's own clock does not run"
     )
     _remember(device, findings, whole=not kernels)
-    return _bundle(device, findings, speed, seconds)
+    # A report has no personal data.
+    return {
+        "clmorph": __version__,
+        "system": f"{platform.system()} {platform.machine()}",
+        "device": device.record(),
+        "pairs_per_second": speed,
+        "seconds": seconds,
+        "findings": [_record(finding) for finding in findings],
+        "nearest": max(findings, key=_share).name if findings else None,
+    }
 
 
 def _print_findings(findings: list[Finding]) -> None:
@@ -218,10 +229,6 @@ def _print_findings(findings: list[Finding]) -> None:
     if findings:
         close = max(findings, key=_share)
         click.echo(f"nearest its tolerance: {close.name} ({_percent(close)} of it)")
-
-
-def _share(finding: Finding) -> float:
-    return finding.share
 
 
 def _percent(finding: Finding) -> str:
@@ -301,21 +308,6 @@ def _check_morph(operations: Operations) -> Iterator[Finding]:
     )
     error = max(float(np.abs(a - b).max()) for a, b in zip(ours.frames, theirs.frames, strict=True))
     yield Finding("morph", 255 * error, 1.0, "of 255")
-
-
-def _bundle(
-    device: Any, findings: list[Finding], pairs_per_second: float, seconds: dict[str, Any]
-) -> dict[str, Any]:
-    """Collect the data about a device for a report in JSON, without personal data."""
-    return {
-        "clmorph": __version__,
-        "system": f"{platform.system()} {platform.machine()}",
-        "device": device.record(),
-        "pairs_per_second": pairs_per_second,
-        "seconds": seconds,
-        "findings": [_record(finding) for finding in findings],
-        "nearest": max(findings, key=_share).name if findings else None,
-    }
 
 
 def _record(finding: Finding) -> dict[str, Any]:

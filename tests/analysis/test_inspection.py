@@ -193,11 +193,6 @@ class TestNasty:
         assert same.divergence.interval[0] == 0
         _is_json(same)
 
-    def test_all_transparent_is_an_error(self, images):
-        clear = np.zeros((4, 4, 4))
-        with pytest.raises(InputError, match="transparent"):
-            inspect(clear, images[1], backend="numpy")
-
     @pytest.mark.full
     def test_opacity_leaves_pixels_without_mass(self, images, device, tmp_path):
         found = inspect(_picture((14, 11), channels=4), images[1], backend=device, **OPTIONS)
