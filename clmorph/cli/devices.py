@@ -59,21 +59,7 @@ def list_devices(as_json: bool, again: bool) -> int:
         records = [device.record() | {"auto": device.index == auto} for device in devices]
         click.echo(json.dumps(records, indent=1))
         return 0 if auto else 1
-    if devices:
-        _print_table(devices, auto)
     from clmorph.backends.opencl.devices.install_hints import advice, missing_files
-
-    if auto:
-        for line in missing_files() if sys.platform == "linux" else ():
-            note(line)
-        return 0
-    click.echo("No OpenCL device is usable. What helps:")
-    for line in advice():
-        click.echo(f"  {line}")
-    return 1
-
-
-def _print_table(devices: tuple[Device, ...], auto: str) -> None:
     from clmorph.backends.opencl.devices.quirks import has_float64
 
     titles = (
@@ -95,7 +81,16 @@ def _print_table(devices: tuple[Device, ...], auto: str) -> None:
         )
         for device in devices
     ]
-    print_table(titles, rows, right=["10⁹ pairs/s"])
+    if rows:
+        print_table(titles, rows, right=["10⁹ pairs/s"])
+    if auto:
+        for line in missing_files() if sys.platform == "linux" else ():
+            note(line)
+        return 0
+    click.echo("No OpenCL device is usable. What helps:")
+    for line in advice():
+        click.echo(f"  {line}")
+    return 1
 
 
 def _choose(spec: str | None, every: bool, even_wrong: bool = False) -> list[Device]:

@@ -1,7 +1,7 @@
 """The nodes: Morph, Mix, Rearrange, Recolor, Load LUT and Apply LUT.
 
-Their progress, interruption and files are ComfyUI's where it runs. A node is a class with the names that
-ComfyUI asks for: ``INPUT_TYPES``, ``RETURN_TYPES``, ``FUNCTION``, ``CATEGORY``, ``DESCRIPTION``.
+Their progress, interruption and files are ComfyUI's where it runs. Each is a class with the
+names that ComfyUI asks for: ``INPUT_TYPES``, ``RETURN_TYPES``, ``FUNCTION``, ``CATEGORY``, ``DESCRIPTION``.
 """
 
 import sys
