@@ -1,7 +1,7 @@
 """The nodes: Morph, Mix, Rearrange, Recolor, Load LUT and Apply LUT.
 
-Their progress, interruption and files are ComfyUI's where it runs. Each is a class with the
-names that ComfyUI asks for: ``INPUT_TYPES``, ``RETURN_TYPES``, ``FUNCTION``, ``CATEGORY``, ``DESCRIPTION``.
+Their progress, interruption and files are ComfyUI's where it runs. Each is a class with the names
+for which ComfyUI asks: ``INPUT_TYPES``, ``RETURN_TYPES``, ``FUNCTION`` and so forth.
 """
 
 import sys
