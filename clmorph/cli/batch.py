@@ -22,9 +22,8 @@ from clmorph.batch.journal import Journal
 from clmorph.batch.places import exists, is_remote, name_of, resolved
 from clmorph.batch.run import run_jobs
 from clmorph.batch.workers import devices_of, local_client, remote_client
-from clmorph.cli.common import device_name
-from clmorph.cli.config import read_settings
-from clmorph.cli.terminal import NOTES, note, print_table, say
+from clmorph.cli.config import NOTHING, read_settings
+from clmorph.cli.terminal import NOTES, device_name, note, print_table, say
 from clmorph.errors import InputError
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.output.formats.registry import by_ending, usual_endings
@@ -52,23 +51,19 @@ def _defaults(given: Mapping[str, Any]) -> Defaults:
             enough = False
         if not enough:
             raise InputError(f"--memory {memory}: expected a size such as 4GB, 300MB or more")
-    options, preset, most = {}, given["preset"], given["max_pixels"]
-    if config is not None:
-        found = read_settings(config)
-        for name in found.beside:
-            raise InputError(
-                f"--config {config}: its {name} belong to one pair of pictures: name them in the "
-                f"table, in the columns source_{name} and target_{name}"
-            )
-        ignored = [name for name in ("output", "format", "recipe") if name in found.own]
-        if ignored:
-            note(f"{config}: batches do not use {', '.join(ignored)}")
-        # A recipe holds all options, so that no preset is chosen under it.
-        preset = preset or found.preset or (None if found.named.own else "photo")
-        most = found.own.get("max_pixels") if most is None else most
-        options = found.options
-    most = MAX_PIXELS if most is None else check_max_pixels(most)
-    return Defaults(resolved(out), options, preset, most)
+    found, most = NOTHING if config is None else read_settings(config), given["max_pixels"]
+    for name in found.beside:
+        raise InputError(
+            f"--config {config}: its {name} belong to one pair of pictures: name them in the "
+            f"table, in the columns source_{name} and target_{name}"
+        )
+    ignored = [name for name in ("output", "format", "recipe") if name in found.own]
+    if ignored:
+        note(f"{config}: batches do not use {', '.join(ignored)}")
+    # A recipe holds all options, so that no preset is chosen under it.
+    preset = given["preset"] or found.preset or (None if found.named.own else "photo")
+    most = found.own.get("max_pixels", MAX_PIXELS) if most is None else most
+    return Defaults(resolved(out), found.options, preset, check_max_pixels(most))
 
 
 def _with_earlier(journal: Journal, records: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -117,11 +112,7 @@ def run_batch(given: Mapping[str, Any]) -> int:
     else:
         if failed:
             rows = [
-                (
-                    printable(name_of(each["output"])),
-                    printable(Path(each["where"]).name),
-                    each["line"],
-                )
+                (name_of(each["output"]), Path(each["where"]).name, each["line"])
                 for each in failed[:LISTED]
             ]
             print_table(("failed", "job", "why"), rows)

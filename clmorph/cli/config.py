@@ -16,8 +16,7 @@ from typing import Any
 from clmorph._shared.options import Options
 from clmorph._shared.printable import reason_of
 from clmorph._shared.validation import errors_about, shown
-from clmorph.cli.common import quiet_libraries
-from clmorph.cli.terminal import note
+from clmorph.cli.terminal import note, quiet_libraries
 from clmorph.errors import FileError, InputError
 from clmorph.pipeline import recipe as recipes
 from clmorph.pipeline.maps import AUTO_LABELS

@@ -17,6 +17,7 @@ from clmorph.cli import config as files
 from clmorph.cli import options
 from clmorph.cli.more_commands import MORE_COMMANDS
 from clmorph.cli.reporting import run
+from clmorph.cli.terminal import note, read_picture
 from clmorph.errors import InputError, OptionWarning
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.maps import AUTO_LABELS
@@ -172,13 +173,10 @@ def _dump(
     """Print all options as TOML."""
     most = given["max_pixels"] or MAX_PIXELS
     if options_of is not None and images and all(path.is_file() for path in images):
-        from clmorph.cli.common import read_picture
         from clmorph.pipeline.prepare import recognized
 
         options = options_of(recognized(read_picture(path, most) for path in images))
     elif options_of is not None:
-        from clmorph.cli.terminal import note
-
         note("these are the options for photographs: name pictures for those that they choose")
     own = {"format": given["format"], "recipe": given["recipe"], "max_pixels": most}
     settings = {name: value for name, value in own.items() if value is not None}
@@ -396,8 +394,6 @@ def inspect(context: click.RichContext, /, **given: Any) -> None:
 
 def _note(told: set[str], message: Warning | str, *others: Any, **more: Any) -> None:
     """Print a warning as a note, once; else the signature is that of `warnings.showwarning`."""
-    from clmorph.cli.terminal import note
-
     if str(message) not in told:
         told.add(str(message))
         note(options.in_option_names(str(message)))

@@ -6,6 +6,7 @@ from typing import Any
 import rich_click as click
 
 from clmorph.cli import options
+from clmorph.cli.terminal import Stages, device_name, open_backend, say
 from clmorph.errors import InputError
 from clmorph.pipeline.presets import AUTO, PRESETS
 
@@ -95,10 +96,8 @@ def studio(
     clmorph studio                       http://127.0.0.1:8017/, for this machine alone
     clmorph studio --port 0 --no-browser
     """  # noqa: D301
-    from clmorph.cli.common import device_name
     from clmorph.cli.demo import write_samples
     from clmorph.cli.reporting import line_of
-    from clmorph.cli.terminal import say
     from clmorph.studio.serve import serve
 
     serve(
@@ -128,9 +127,7 @@ def comfyui(folder: Path) -> None:
 @options.device_options
 def demo(device: str | None, backend: str | None) -> None:
     """Morph a bundled sprite into a photograph: clmorph-demo.gif, .html and .png."""
-    from clmorph.cli.common import open_backend
     from clmorph.cli.demo import run_demo
-    from clmorph.cli.terminal import Stages
 
     operations = open_backend(device, backend)
     with Stages() as stages:

@@ -11,9 +11,8 @@ import numpy as np
 
 from clmorph._shared.printable import size_text
 from clmorph.backends.interface import Operations
-from clmorph.cli.common import noted_warnings, read_picture
 from clmorph.cli.request import Prepared, Request
-from clmorph.cli.terminal import Stages, note, say
+from clmorph.cli.terminal import Stages, note, noted_warnings, read_picture, say
 from clmorph.clips.reading import is_clip
 from clmorph.errors import ConvergenceWarning, InputError, MemoryWarning, PruningWarning
 from clmorph.images.detail import is_pixel_art

@@ -14,8 +14,15 @@ from clmorph._shared.files import check_apart, check_place, is_standard_output
 from clmorph._shared.options import Options
 from clmorph._shared.printable import printable
 from clmorph.backends.interface import Operations
-from clmorph.cli.common import noted_libraries, open_backend, quiet_libraries, read_picture
-from clmorph.cli.terminal import Stages, note, say
+from clmorph.cli.terminal import (
+    Stages,
+    note,
+    noted_libraries,
+    open_backend,
+    quiet_libraries,
+    read_picture,
+    say,
+)
 from clmorph.errors import InputError, OutputError
 from clmorph.images.pixels import reduced_shape
 from clmorph.output.playback import Motion, held_frames, motion_of

@@ -1,9 +1,12 @@
-"""Progress bars, notes and times of the command line."""
+"""What commands share: notes, tables, progress and times, reading pictures, opening a device."""
 
+import logging
 import sys
 import time
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import IO, Any, Self, cast
 
 from rich import progress
@@ -11,6 +14,9 @@ from rich.console import Console
 from rich.table import Table
 
 from clmorph._shared.printable import MESSAGE, printable
+from clmorph._shared.validation import check_max_pixels
+from clmorph.cli.options import in_option_names
+from clmorph.errors import ImageWarning, InputError
 from clmorph.output.save import Output
 
 
@@ -30,6 +36,8 @@ class _StandardError:
             sys.stderr.flush()
 
 
+#: A handler that keeps Python from printing log records without another handler.
+SILENT = logging.NullHandler()
 #: Console for progress, notes and errors; results go to standard output.
 NOTES = Console(
     file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True, markup=False, emoji=False
@@ -58,8 +66,79 @@ def print_table(
     for title in titles:
         table.add_column(title, "", overflow="fold", justify="right" if title in right else "left")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*(printable(cell, MESSAGE) for cell in row))
     RESULTS.print(table)
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
+    """Hide messages of Pillow about unusual metadata, and yield the warnings of clmorph itself.
+
+    Such messages do not help the user, because clmorph itself checks pixels and recipes. Only the
+    command line may use this function, because it changes the global state of the process.
+    """
+    log = logging.getLogger("PIL")
+    log.addHandler(SILENT)
+    try:
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("always", ImageWarning)
+            yield found
+    finally:
+        log.removeHandler(SILENT)
+
+
+@contextmanager
+def noted_libraries() -> Iterator[None]:
+    """Hide what `quiet_libraries` hides, and print warnings of clmorph as notes."""
+    with quiet_libraries() as found:
+        yield
+    for remark in found:
+        note(remark.message)
+
+
+@contextmanager
+def noted_warnings() -> Iterator[list[Warning]]:
+    """Print warnings as notes, and yield a list that has them."""
+    notes: list[Warning] = []
+
+    def show(message: Any, *others: Any, **more: Any) -> None:
+        notes.append(message)
+        note(in_option_names(str(message)))
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield notes
+
+
+def read_picture(path: Path, max_pixels: int) -> Any:
+    """Read an image as `clmorph.images.pixels.as_samples` has it; print its warnings as notes."""
+    from clmorph.images.pixels import read_visible
+
+    check_max_pixels(max_pixels)  # so that an error concerns the option, not the file
+    with noted_libraries():
+        return read_visible(path, max_pixels)
+
+
+def device_name(device: str | None, backend: str | None) -> str:
+    """Return the device that ``--device`` or ``--backend`` names; both may not differ."""
+    if device is not None and backend not in (None, "auto", "opencl"):
+        raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
+    return device or backend or "auto"
+
+
+def open_backend(device: str | None, backend: str | None) -> Any:
+    """Choose the device and print its name."""
+    name = device_name(device, backend)
+    from clmorph.backends.multi_device import sharing_notes
+    from clmorph.backends.select import get_backend
+
+    with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
+        operations = get_backend(name)
+    say(f"device: {operations.description}")
+    for each in sharing_notes(operations):
+        note(each)
+    return operations
 
 
 class Stages:
