@@ -409,4 +409,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with terminable() as ending, warnings.catch_warnings():
         warnings.simplefilter("always", OptionWarning)
         warnings.showwarning = partial(_note, set())
-        return run(cli, arguments, names | options.names_outside(), ending)
+        return run(cli, arguments, names | options.NAMES, ending)
