@@ -17,7 +17,7 @@ from clmorph.cli import config as files
 from clmorph.cli import options
 from clmorph.cli.more_commands import MORE_COMMANDS
 from clmorph.cli.reporting import run
-from clmorph.cli.terminal import note, read_picture
+from clmorph.cli.terminal import device_name, note, read_picture
 from clmorph.errors import InputError, OptionWarning
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.maps import AUTO_LABELS
@@ -164,13 +164,10 @@ def morph(context: click.RichContext, /, **given: Any) -> None:
 
 
 def _dump(
-    given: dict[str, Any],
-    images: Sequence[Path],
-    beside: dict[str, Sequence[Path]],
-    options: MorphOptions,
-    options_of: Callable[[str], MorphOptions] | None,
+    given: dict[str, Any], images: Sequence[Path], beside: dict[str, Sequence[Path]], **chosen: Any
 ) -> None:
     """Print all options as TOML."""
+    options, options_of = chosen["options"], chosen["options_of"]
     most = given["max_pixels"] or MAX_PIXELS
     if options_of is not None and images and all(path.is_file() for path in images):
         from clmorph.pipeline.prepare import recognized
@@ -241,8 +238,8 @@ def _request(
     return Request(
         images, given["output"], max_pixels=MAX_PIXELS if most_pixels is None else most_pixels,
         format=given.get("format"), recipe=bool(given.get("recipe")),
-        config=None if config is files.NOTHING else config.named.file, device=given["device"],
-        backend=given["backend"], as_json=given["as_json"], **more,
+        config=None if config is files.NOTHING else config.named.file,
+        device=device_name(given["device"], given["backend"]), as_json=given["as_json"], **more,
     )  # fmt: skip
 
 

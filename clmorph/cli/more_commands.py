@@ -129,7 +129,7 @@ def demo(device: str | None, backend: str | None) -> None:
     """Morph a bundled sprite into a photograph: clmorph-demo.gif, .html and .png."""
     from clmorph.cli.demo import run_demo
 
-    operations = open_backend(device, backend)
+    operations = open_backend(device_name(device, backend))
     with Stages() as stages:
         report = run_demo(operations, Path.cwd(), stages)
     for line in report:

@@ -62,8 +62,7 @@ class Request:
     recipe: bool = False
     #: The file of settings, which must not be overwritten.
     config: Path | None = None
-    device: str | None = None
-    backend: str | None = None
+    device: str = "auto"
     as_json: bool = False
     #: Files beside the pictures, by what they are: labels, features, mask.
     beside: Mapping[str, Sequence[Path]] = field(default_factory=dict)
@@ -179,7 +178,7 @@ class Request:
 
     def open(self) -> Operations:
         """Choose the device and print its name."""
-        return open_backend(self.device, self.backend)
+        return open_backend(self.device)
 
     def stages(self) -> Stages:
         """Return the display of the command's progress, after its preparation."""

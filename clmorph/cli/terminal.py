@@ -127,9 +127,8 @@ def device_name(device: str | None, backend: str | None) -> str:
     return device or backend or "auto"
 
 
-def open_backend(device: str | None, backend: str | None) -> Any:
-    """Choose the device and print its name."""
-    name = device_name(device, backend)
+def open_backend(name: str) -> Any:
+    """Choose the device that is named and print its own name."""
     from clmorph.backends.multi_device import sharing_notes
     from clmorph.backends.select import get_backend
 
