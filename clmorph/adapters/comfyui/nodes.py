@@ -245,7 +245,7 @@ class Mix(NodeWithOptions):
         if grid == 1:
             raise InputError("grid=1: expected 0 for one mix by weights, or 2 and more")
         groups = paired(**batches)
-        more = {"preset": None if preset == AUTO else preset, "size": size or None}
+        more: dict[str, Any] = {"preset": None if preset == AUTO else preset, "size": size or None}
         more |= widgets.more_options(options, self.OPTIONS)
         running, operations, made = Running(2 * len(groups)), get_backend(device), []
         for group in groups:
