@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from clmorph._shared.options import Options, specifications, to_outside
-from clmorph.cli.options import names_outside
+from clmorph.cli.options import NAMES
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.recolor_options import RecolorOptions
 
@@ -31,7 +31,7 @@ def cell(text: str) -> str:
 def table(options: type[Options] = MorphOptions) -> str:
     """Return the table of all options of a class, panel by panel."""
     lines = ["| option | meaning | default |\n", "|---|---|---|\n"]
-    known, names = specifications(options), names_outside()
+    known, names = specifications(options), NAMES
     for name, option in sorted(known.items(), key=lambda item: PANELS.index(item[1].panel)):
         value = to_outside(option, getattr(options, name))
         usual = "no" if value is False else f"{value:g}" if isinstance(value, float) else str(value)

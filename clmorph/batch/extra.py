@@ -25,8 +25,8 @@ def check_device(backend: Any) -> None:
         raise InputError(f"backend={shown(backend)}: expected a name, such as 'auto'")
 
 
-def check_client(client: Any) -> Any:
-    """Return a client of Dask's scheduler that is connected, or raise InputError."""
+def check_client(client: Any) -> None:
+    """Raise InputError if this is no client of Dask's scheduler that is connected."""
     need_dask()
     from distributed import Client
 
@@ -34,7 +34,6 @@ def check_client(client: Any) -> Any:
         raise InputError(f"client={shown(client)}: expected a distributed.Client")
     if client.status != "running":
         raise InputError(f"client={shown(client)}: it is closed; expected one that is connected")
-    return client
 
 
 @contextmanager

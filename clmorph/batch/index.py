@@ -58,8 +58,7 @@ def index_page(folder: str, records: list[Mapping[str, Any]]) -> str:
         "header": "".join(_head(kind, title) for kind, title in heads),
         "rows": "".join(_row(folder, record) for record in records),
     }
-    parts = re.split(r"\{\{(\w+)\}\}", _resource("index.html"))
-    return "".join(slots[part] if number % 2 else part for number, part in enumerate(parts))
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: slots[found[1]], _resource("index.html"))
 
 
 def _head(kind: str, title: str) -> str:

@@ -4,7 +4,7 @@ import csv
 import io
 import itertools
 import json
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,8 @@ BESIDE = {
     "labels": ("source_labels", "target_labels"),
     "features": ("source_features", "target_features"),
 }
-_FILES = tuple(name for names in BESIDE.values() for name in names)
+_TEXTS = (*COLUMNS, *(name for names in BESIDE.values() for name in names))
+_WANTED = f"{', '.join(COLUMNS)} and any option of clmorph morph"
 #: Words of a CSV file for truth values.
 FLAGS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 #: Endings of pictures that are taken from a folder.
@@ -125,22 +126,17 @@ def _json_rows(place: str, text: str) -> Iterator[tuple[str, dict[str, Any], dic
     for number, entry in enumerate(entries, 1):
         where = f"{place} entry {number}"
         if not isinstance(entry, dict):
-            raise FileError(f"{where}: {shown(entry)}: expected an object with {_wanted()}")
+            raise FileError(f"{where}: {shown(entry)}: expected an object with {_WANTED}")
         _check_columns(where, list(entry))
         entry = {_plain(name): value for name, value in entry.items()}
-        for name in (*COLUMNS, *_FILES):
+        for name in _TEXTS:
             if name in entry and not isinstance(entry[name], str):
                 raise FileError(f"{where}: {name} = {shown(entry[name])}: expected a text")
-        texts = (*COLUMNS, *_FILES)
-        others = {name: value for name, value in entry.items() if name not in texts}
+        others = {name: value for name, value in entry.items() if name not in _TEXTS}
         try:
             yield where, entry, options_of(others, where)
         except InputError as error:
             raise FileError(str(error)) from None
-
-
-def _wanted() -> str:
-    return f"{', '.join(COLUMNS)} and any option of clmorph morph"
 
 
 def _plain(name: str) -> str:
@@ -155,10 +151,10 @@ def _folder_of(place: str) -> str:
 
 def _check_columns(where: str, names: list[str]) -> None:
     plains = [_plain(name) for name in names]
-    known = dict.fromkeys((*COLUMNS, *_FILES, PRESET, *by_outside_name(MorphOptions)))
+    known = dict.fromkeys((*_TEXTS, PRESET, *by_outside_name(MorphOptions)))
     missing = [name for name in COLUMNS if name not in plains]
     if missing:
-        raise FileError(f"{where}: no column {' and '.join(missing)}; expected {_wanted()}")
+        raise FileError(f"{where}: no column {' and '.join(missing)}; expected {_WANTED}")
     for number, name in enumerate(names):
         plain = plains[number]
         if plain in plains[:number]:
@@ -192,7 +188,7 @@ def _job(
 ) -> Job:
     for name in COLUMNS:
         if not row.get(name) or "\0" in row[name]:
-            raise FileError(f"{where}: no {name}; expected {_wanted()}")
+            raise FileError(f"{where}: no {name}; expected {_WANTED}")
     preset = options.pop(PRESET, None)
     if preset is not None and preset not in (AUTO, *PRESETS):
         names = ", ".join(map(repr, (AUTO, *PRESETS)))
@@ -224,11 +220,9 @@ def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> li
             "choose another folder of outputs"
         )
     ambiguous = len({path.stem for path in pictures}) < len(pictures)
-    pairs: Callable[[Iterable[Path]], Iterable[tuple[Path, Path]]] = (
-        itertools.pairwise if chain else lambda them: itertools.combinations(them, 2)
-    )
     jobs = []
-    together = list(pairs(pictures))
+    pairs = itertools.pairwise(pictures) if chain else itertools.combinations(pictures, 2)
+    together = list(pairs)
     names = [[path.name if ambiguous else path.stem for path in pair] for pair in together]
     # Names with dashes of their own can make two pairs look the same.
     apart = next(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from rich import progress
 
 from clmorph._shared.printable import printable
 from clmorph._shared.signals import note_partial
@@ -21,9 +22,8 @@ from clmorph.batch.journal import Journal
 from clmorph.batch.places import exists, is_remote, name_of, resolved
 from clmorph.batch.run import run_jobs
 from clmorph.batch.workers import devices_of, local_client, remote_client
-from clmorph.cli.common import device_name
-from clmorph.cli.config import read_settings
-from clmorph.cli.terminal import NOTES, RESULTS, note, say
+from clmorph.cli.config import NOTHING, read_settings
+from clmorph.cli.terminal import NOTES, device_name, note, print_table, say
 from clmorph.errors import InputError
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.output.formats.registry import by_ending, usual_endings
@@ -51,23 +51,19 @@ def _defaults(given: Mapping[str, Any]) -> Defaults:
             enough = False
         if not enough:
             raise InputError(f"--memory {memory}: expected a size such as 4GB, 300MB or more")
-    options, preset, most = {}, given["preset"], given["max_pixels"]
-    if config is not None:
-        found = read_settings(config)
-        for name in found.beside:
-            raise InputError(
-                f"--config {config}: its {name} belong to one pair of pictures: name them in the "
-                f"table, in the columns source_{name} and target_{name}"
-            )
-        ignored = [name for name in ("output", "format", "recipe") if name in found.own]
-        if ignored:
-            note(f"{config}: batches do not use {', '.join(ignored)}")
-        # A recipe holds all options, so that no preset is chosen under it.
-        preset = preset or found.preset or (None if found.named.own else "photo")
-        most = found.own.get("max_pixels") if most is None else most
-        options = found.options
-    most = MAX_PIXELS if most is None else check_max_pixels(most)
-    return Defaults(resolved(out), options, preset, most)
+    found, most = NOTHING if config is None else read_settings(config), given["max_pixels"]
+    for name in found.beside:
+        raise InputError(
+            f"--config {config}: its {name} belong to one pair of pictures: name them in the "
+            f"table, in the columns source_{name} and target_{name}"
+        )
+    ignored = [name for name in ("output", "format", "recipe") if name in found.own]
+    if ignored:
+        note(f"{config}: batches do not use {', '.join(ignored)}")
+    # A recipe holds all options, so that no preset is chosen under it.
+    preset = given["preset"] or found.preset or (None if found.named.own else "photo")
+    most = found.own.get("max_pixels", MAX_PIXELS) if most is None else most
+    return Defaults(resolved(out), found.options, preset, check_max_pixels(most))
 
 
 def _with_earlier(journal: Journal, records: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -114,7 +110,14 @@ def run_batch(given: Mapping[str, Any]) -> int:
         }  # fmt: skip
         click.echo(json.dumps(summary))
     else:
-        _print_failed(failed)
+        if failed:
+            rows = [
+                (name_of(each["output"]), Path(each["where"]).name, each["line"])
+                for each in failed[:LISTED]
+            ]
+            print_table(("failed", "job", "why"), rows)
+        if len(failed) > LISTED:
+            click.echo(f"and {len(failed) - LISTED} more, see the page")
         click.echo(
             f"{printable(page)}: {len(jobs) - len(failed)} of {len(jobs)} pairs done, "
             f"{len(failed)} failed, in {seconds:.1f} s"
@@ -146,22 +149,14 @@ def _client(given: Mapping[str, Any], device: str, count: int) -> AbstractContex
 
 def _work(client: Any, left: Sequence[tuple[Job, str]], journal: Journal, device: str) -> None:
     """Do the jobs, and show how many are done and the time that is left."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
     info = client.scheduler_info(n_workers=-1)
     say(f"workers: {len(info['workers'])}; dashboard: {client.dashboard_link}")
     if not info["workers"]:
         note("the scheduler has no worker yet; the jobs wait for one")
-    bar = Progress(
-        TextColumn("pairs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[failed]}"),
+    bar = progress.Progress(
+        progress.TextColumn("pairs"), progress.BarColumn(), progress.MofNCompleteColumn(),
+        progress.TimeElapsedColumn(), progress.TextColumn("left"), progress.TimeRemainingColumn(),
+        progress.TextColumn("{task.fields[failed]}"),
         console=NOTES, disable=not NOTES.is_terminal, transient=True,
     )  # fmt: skip
     failed = 0
@@ -173,22 +168,3 @@ def _work(client: Any, left: Sequence[tuple[Job, str]], journal: Journal, device
                 failed += 1
                 note(f"{record['where']}: {record['line']}")
             bar.update(task, advance=1, failed=f"{failed} failed" if failed else "")
-
-
-def _print_failed(failed: Sequence[dict[str, Any]]) -> None:
-    from rich.table import Table
-
-    if not failed:
-        return
-    table = Table(box=None, pad_edge=False)
-    for title in ("failed", "job", "why"):
-        table.add_column(title, overflow="fold")
-    for record in failed[:LISTED]:
-        table.add_row(
-            printable(name_of(record["output"])),
-            printable(Path(record["where"]).name),
-            record["line"],
-        )
-    RESULTS.print(table)
-    if len(failed) > LISTED:
-        click.echo(f"and {len(failed) - LISTED} more, see the page")

@@ -16,27 +16,13 @@ from typing import Any
 from clmorph._shared.options import Options
 from clmorph._shared.printable import reason_of
 from clmorph._shared.validation import errors_about, shown
-from clmorph.cli.common import quiet_libraries
-from clmorph.cli.terminal import note
+from clmorph.cli.terminal import note, quiet_libraries
 from clmorph.errors import FileError, InputError
+from clmorph.pipeline import recipe as recipes
 from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
-from clmorph.pipeline.recipe import (
-    BESIDE,
-    COMMAND,
-    COMMANDS,
-    IMAGES,
-    MIX,
-    OUTPUT,
-    OWN,
-    PRESET,
-    SHOWN,
-    digest,
-    options_of,
-    read_recipe,
-    read_toml,
-)
+from clmorph.pipeline.recipe import IMAGES, OUTPUT, PRESET
 
 Settings = dict[str, Any]
 
@@ -68,22 +54,19 @@ class Named:
                     "pictures beside it or in the current folder, without a folder; name the "
                     "pictures in the command line"
                 )
-            found.append(path := self._sought(name))
+            try:
+                beside = self.file.parent / name
+                found.append(path := beside if beside.exists() else Path(name))
+            except OSError as error:
+                raise InputError(f"{self.file}: {shown(name)}: {reason_of(error)}") from None
             if not path.exists():
                 raise FileError(
                     f"{path}: no such file, but the settings name it; put it there, or name the "
                     "pictures in the command line"
                 )
-            if known is not None and path.is_file() and digest(path) != known:
+            if known is not None and path.is_file() and recipes.digest(path) != known:
                 note(f"{path} is not the file that was used then")
         return tuple(found)
-
-    def _sought(self, name: str) -> Path:
-        try:
-            beside = self.file.parent / name
-            return beside if beside.exists() else Path(name)
-        except OSError as error:
-            raise InputError(f"{self.file}: {shown(name)}: {reason_of(error)}") from None
 
 
 def is_bare(name: str, *, windows: bool = os.name == "nt") -> bool:
@@ -130,22 +113,22 @@ def read_settings(
     if not path.exists():
         raise InputError(f"--config {path}: no such file")
     own = path.suffix.lower() == ".toml"
-    found = read_toml(path) if own else _recipe(path, command, mixes)
+    found = recipes.read_toml(path) if own else _recipe(path, command, mixes)
     by_name = {key.replace("-", "_"): value for key, value in found.items()}
     images = _entries(path, IMAGES, by_name.pop(IMAGES, []))
     beside = {
         name: _entries(path, name, by_name.pop(name), count)
-        for name, count in BESIDE[command].items()
+        for name, count in recipes.BESIDE[command].items()
         if name in by_name
     }
-    shows = {name: by_name.pop(name) for name in SHOWN if mixes and name in by_name}
-    users = {name: by_name.pop(name) for name in OWN if name in by_name}
+    shows = {name: by_name.pop(name) for name in recipes.SHOWN if mixes and name in by_name}
+    users = {name: by_name.pop(name) for name in recipes.OWN if name in by_name}
     if not own:
         for name in (OUTPUT, "format"):  # no recipe that clmorph writes contains these
             if name in users:
                 note(f"{path} names its own {name}, which a recipe does not choose: give -o")
         users = {}
-    options = options_of(by_name, str(path), command)
+    options = recipes.options_of(by_name, str(path), command)
     chosen = options.pop(PRESET, None)
     names = (AUTO, *PRESETS)
     if chosen is not None and (not isinstance(chosen, str) or chosen not in names):
@@ -158,6 +141,10 @@ def read_settings(
     _check_own(path, users)
     others = {name: Named(path, own, entries) for name, entries in beside.items()}
     return Found(options, chosen, Named(path, own, images), users, others, shows)
+
+
+#: What stands for a file of settings where none is given.
+NOTHING = Found({}, None, Named(Path(), True, ()), {}, {})
 
 
 def _entries(path: Path, name: str, value: Any, count: int | None = None) -> list[Any]:
@@ -193,18 +180,18 @@ def _check_own(path: Path, users: Settings) -> None:
 
 def _recipe(path: Path, command: type[Options], mixes: bool) -> Settings:
     with quiet_libraries():  # notes of clmorph are printed later
-        found = read_recipe(path)
-    made_by = found.get(COMMAND, "morph")
-    mixed = made_by == MIX
+        found = recipes.read_recipe(path)
+    made_by = found.get(recipes.COMMAND, "morph")
+    mixed = made_by == recipes.MIX
     if isinstance(made_by, str) and (
-        mixed != mixes or COMMANDS.get(made_by, command) is not command
+        mixed != mixes or recipes.COMMANDS.get(made_by, command) is not command
     ):
         raise InputError(
             f"{path} was made by clmorph {made_by}: repeat it by clmorph {made_by} --config {path}"
         )
     for name in found.get("arrays", []) if isinstance(found.get("arrays"), list) else []:
         note(f"{path} was made with an array of {shown(name)}, which it does not hold")
-    others = (*BESIDE[command], *(SHOWN if mixes else ()))
+    others = (*recipes.BESIDE[command], *(recipes.SHOWN if mixes else ()))
     more = {name: found[name] for name in others if name in found}
     return {**found["options"], IMAGES: found.get(IMAGES, []), **more}
 
@@ -221,10 +208,4 @@ def as_toml(
         for name, paths in files.items()
         if paths
     }
-    return tomli_w.dumps(named | {name: _plain(settings[name]) for name in sorted(settings)})
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple | list):
-        return [_plain(part) for part in value]
-    return str(value) if isinstance(value, Path) else value
+    return tomli_w.dumps(named | dict(sorted(settings.items())))

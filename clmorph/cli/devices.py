@@ -5,7 +5,9 @@ import platform
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -28,23 +30,16 @@ from clmorph.backends.opencl.devices.find import (
 )
 from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.backends.opencl.verification.findings import SIGNS_OF_WRONG_RESULTS, Finding, words_of
-from clmorph.cli.terminal import NOTES, RESULTS, note
+from clmorph.cli.terminal import NOTES, note, print_table
 from clmorph.errors import ClmorphError, DeviceError, InputError, OutputError
 
+_share = attrgetter("share")
 _TRYING = "trying OpenCL devices (remembered from the second time on)"
 
 
 def _find() -> tuple[Device, ...]:
     with NOTES.status(_TRYING):
         return find_devices()
-
-
-def _auto_index() -> str:
-    """Return the index of the device that "auto" selects; '' if no device works."""
-    try:
-        return choose_device("auto").index
-    except DeviceError:
-        return ""
 
 
 def list_devices(as_json: bool, again: bool) -> int:
@@ -57,39 +52,22 @@ def list_devices(as_json: bool, again: bool) -> int:
             "what is learned of devices cannot be kept; set XDG_CACHE_HOME to a folder that "
             "can be written to"
         )
-    auto = _auto_index()
+    auto = ""
+    with suppress(DeviceError):  # no device works
+        auto = choose_device("auto").index
     if as_json:
         records = [device.record() | {"auto": device.index == auto} for device in devices]
         click.echo(json.dumps(records, indent=1))
         return 0 if auto else 1
-    if devices:
-        _print_table(devices, auto)
     from clmorph.backends.opencl.devices.install_hints import advice, missing_files
-
-    if auto:
-        for line in missing_files() if sys.platform == "linux" else ():
-            note(line)
-    else:
-        click.echo("No OpenCL device is usable. What helps:")
-        for line in advice():
-            click.echo(f"  {line}")
-        return 1
-    return 0
-
-
-def _print_table(devices: tuple[Device, ...], auto: str) -> None:
-    from rich.table import Table
-
     from clmorph.backends.opencl.devices.quirks import has_float64
 
-    table = Table(box=None, pad_edge=False)
-    for title in ("", "index", "device", "platform, driver", "type", "units", "memory", "float64"):
-        table.add_column(title, overflow="fold")
-    table.add_column("10⁹ pairs/s", justify="right")
-    table.add_column("usable", overflow="fold")
-    for device in devices:
-        speed = device.pairs_per_second / 1e9
-        table.add_row(
+    titles = (
+        "", "index", "device", "platform, driver", "type", "units", "memory", "float64",
+        "10⁹ pairs/s", "usable",
+    )  # fmt: skip
+    rows = [
+        (
             "auto" if device.index == auto else "",
             device.index,
             device.name,
@@ -98,18 +76,27 @@ def _print_table(devices: tuple[Device, ...], auto: str) -> None:
             str(device.compute_units),
             f"{device.memory / 2**30:.0f} GiB",
             "yes" if has_float64(device.handle) else "no",
-            f"{speed:.1f}" if speed else "",
+            f"{device.pairs_per_second / 1e9:.1f}" if device.pairs_per_second else "",
             "yes" if device.usable else f"no: {device.reason}",
         )
-    RESULTS.print(table)
+        for device in devices
+    ]
+    if rows:
+        print_table(titles, rows, right=["10⁹ pairs/s"])
+    if auto:
+        for line in missing_files() if sys.platform == "linux" else ():
+            note(line)
+        return 0
+    click.echo("No OpenCL device is usable. What helps:")
+    for line in advice():
+        click.echo(f"  {line}")
+    return 1
 
 
 def _choose(spec: str | None, every: bool, even_wrong: bool = False) -> list[Device]:
     """Return the device that the user chose, or every usable device."""
-    if every:
-        devices = [device for device in _find() if device.usable]
-        if devices:
-            return devices
+    if every and (devices := [device for device in _find() if device.usable]):
+        return devices
     with NOTES.status(_TRYING):
         return [choose_device(spec or "auto", even_wrong)]
 
@@ -212,22 +199,30 @@ def _check_one(device: Device, kernels: Sequence[str]) -> dict[str, Any]:
         else f"all took {elapsed:.2f} s with NumPy's; the device's own clock does not run"
     )
     _remember(device, findings, whole=not kernels)
-    return _bundle(device, findings, speed, seconds)
+    # A report has no personal data.
+    return {
+        "clmorph": __version__,
+        "system": f"{platform.system()} {platform.machine()}",
+        "device": device.record(),
+        "pairs_per_second": speed,
+        "seconds": seconds,
+        "findings": [_record(finding) for finding in findings],
+        "nearest": max(findings, key=_share).name if findings else None,
+    }
 
 
 def _print_findings(findings: list[Finding]) -> None:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for title in ("operation", "largest error", "tolerance", "", "share", "verdict"):
-        table.add_column(title, justify="right" if title == "share" else "left")
-    for f in findings:
-        table.add_row(
+    titles = "operation", "largest error", "tolerance", "", "share", "verdict"
+    rows = [
+        (
             f.name, f"{f.error:.1e}", f"{f.tolerance:.1e}", f.unit, _percent(f),
             "pass" if f.passed else "FAIL",
-        )  # fmt: skip
-    RESULTS.print(table)
-    if close := _nearest(findings):
+        )
+        for f in findings
+    ]  # fmt: skip
+    print_table(titles, rows, right=["share"])
+    if findings:
+        close = max(findings, key=_share)
         click.echo(f"nearest its tolerance: {close.name} ({_percent(close)} of it)")
 
 
@@ -239,7 +234,7 @@ def _remember(device: Device, findings: list[Finding], whole: bool) -> None:
     """Remember that a device computes wrongly, or forget it if it has passed everything."""
     failed = [finding for finding in findings if not finding.passed]
     if failed:
-        worst = max(failed, key=lambda finding: finding.share)
+        worst = max(failed, key=_share)
         mark_unusable(device.handle, f"{WRONG}clmorph check: {worst}")
         note("the device is unusable from now on; clmorph devices --again forgets that")
     elif whole and not device.usable:
@@ -308,27 +303,6 @@ def _check_morph(operations: Operations) -> Iterator[Finding]:
     )
     error = max(float(np.abs(a - b).max()) for a, b in zip(ours.frames, theirs.frames, strict=True))
     yield Finding("morph", 255 * error, 1.0, "of 255")
-
-
-def _nearest(findings: Sequence[Finding]) -> Finding | None:
-    """Return the finding whose error is the largest share of its tolerance; None if none is."""
-    return max(findings, key=lambda finding: finding.share, default=None)
-
-
-def _bundle(
-    device: Any, findings: list[Finding], pairs_per_second: float, seconds: dict[str, Any]
-) -> dict[str, Any]:
-    """Collect the data about a device for a report in JSON, without personal data."""
-    close = _nearest(findings)
-    return {
-        "clmorph": __version__,
-        "system": f"{platform.system()} {platform.machine()}",
-        "device": device.record(),
-        "pairs_per_second": pairs_per_second,
-        "seconds": seconds,
-        "findings": [_record(finding) for finding in findings],
-        "nearest": None if close is None else close.name,
-    }
 
 
 def _record(finding: Finding) -> dict[str, Any]:

@@ -8,8 +8,8 @@ import click
 from clmorph._shared.printable import printable
 from clmorph.analysis.figures import check_plotting, draw_inspection
 from clmorph.analysis.inspect import inspect
-from clmorph.cli.common import noted_warnings
 from clmorph.cli.request import Request
+from clmorph.cli.terminal import noted_warnings
 from clmorph.errors import ConvergenceWarning
 
 

@@ -15,31 +15,25 @@ from clmorph._shared.signals import terminable
 from clmorph._shared.version import __version__
 from clmorph.cli import config as files
 from clmorph.cli import options
-from clmorph.cli.more_commands import (
-    PRESET_LINES,
-    batch,
-    check,
-    comfyui,
-    completion,
-    counted,
-    demo,
-    devices,
-    inspect,
-    studio,
-    tune,
-)
+from clmorph.cli.more_commands import MORE_COMMANDS
 from clmorph.cli.reporting import run
+from clmorph.cli.terminal import device_name, note, read_picture
 from clmorph.errors import InputError, OptionWarning
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.presets import AUTO
+from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recolor_options import RecolorOptions
 
 if TYPE_CHECKING:
     from clmorph.cli.request import Request
 
+#: One line about each preset.
+PRESET_LINES = "Presets:\n\n" + "\n\n".join(
+    f"{name}: {help}"
+    for name, help in ((AUTO, AUTO_HELP), *((name, each.help) for name, each in PRESETS.items()))
+)
 #: Meanings of the exit codes; the help shows them.
 EXIT_CODES = """\
 Exit codes: 0: the command has done its work; 1: no device is usable (devices), a device is out of
@@ -96,19 +90,14 @@ def cli() -> None:
     """  # noqa: D301 (click wants the character itself)
 
 
-def _config_option(
-    read: Callable[..., files.Found], *, preset: bool = False
-) -> Callable[[Any], Any]:
-    """Return the option --config, whose file is read before any other option is processed.
-
-    With `preset` the preset that the file names stands for that of the command line.
-    """
+def _config_option(command: type[Options] = MorphOptions, **how: Any) -> Callable[[Any], Any]:
+    """Return the option --config, whose file is read before any other option is processed."""
 
     def settings(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
         if path is None:
-            return None
-        found = read(path)
-        named = {"preset": found.preset} if preset and found.preset is not None else {}
+            return files.NOTHING
+        found = files.read_settings(path, command, **how)
+        named = {} if found.preset is None else {"preset": found.preset}
         context.default_map = found.own | named
         return found
 
@@ -121,30 +110,23 @@ def _config_option(
 
 def _chosen(kind: type[Options], given: Mapping[str, Any]) -> Options:
     """Return the options of the file of settings, replaced by those of the command line."""
-    file = {} if given["config"] is None else given["config"].options
-    return kind(**file).replace(**options.given_options(given, kind))
+    return kind(**given["config"].options).replace(**options.given_options(given, kind))
 
 
-def _pictures(images: tuple[Path, ...], config: files.Found | None) -> tuple[Path, ...]:
+def _pictures(given: Mapping[str, Any]) -> tuple[Path, ...]:
     """Return the pictures of the command line or, if there are none, of the file of settings."""
-    return images if config is None or images else config.named.paths()
+    return given["images"] or given["config"].named.paths()
 
 
 @cli.command(epilog=PRESET_LINES, cls=options.LabeledCommand)
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.InputName())
-@options.file_options
-@options.preset_option
-@options.draft_option
-@_config_option(files.read_settings, preset=True)
+@options.film_options
+@_config_option()
 @click.option(
     "--dump-config", is_flag=True, panel="Settings",
     help="Print all options as TOML, and do nothing else.",
 )  # fmt: skip
-@options.json_option
 @options.morph_options
-@options.map_options
-@options.max_pixels_option
-@options.device_options
 @click.pass_context
 def morph(context: click.RichContext, /, **given: Any) -> None:
     """Morph picture A into picture B, and on to C, D and so forth.
@@ -164,7 +146,7 @@ def morph(context: click.RichContext, /, **given: Any) -> None:
 
     config, line = given["config"], options.given_options(given)
     chosen = _chosen_by_preset(context, given, line)
-    images, beside = _pictures(given["images"], config), _beside(given, config)
+    images, beside = _pictures(given), _beside(given)
     if given["dump_config"]:
         _dump(given, images, beside, **chosen)
         return
@@ -175,29 +157,23 @@ def morph(context: click.RichContext, /, **given: Any) -> None:
     request = _request(
         given, images, "morph a.png b.jpg -o out.gif", beside=beside, **chosen,
         # A limit that the user repeats on the command line counts as the user's own.
-        capped=config is not None and not config.named.own and "max_memory" not in line,
-        named=frozenset((*line, *(() if config is None else config.options))),
+        capped=not config.named.own and "max_memory" not in line,
+        named=frozenset((*line, *config.options)),
     )  # fmt: skip
     run_morph(request, line)
 
 
 def _dump(
-    given: dict[str, Any],
-    images: Sequence[Path],
-    beside: dict[str, Sequence[Path]],
-    options: MorphOptions,
-    options_of: Callable[[str], MorphOptions] | None,
+    given: dict[str, Any], images: Sequence[Path], beside: dict[str, Sequence[Path]], **chosen: Any
 ) -> None:
     """Print all options as TOML."""
+    options, options_of = chosen["options"], chosen["options_of"]
     most = given["max_pixels"] or MAX_PIXELS
     if options_of is not None and images and all(path.is_file() for path in images):
-        from clmorph.cli.common import read_picture
         from clmorph.pipeline.prepare import recognized
 
         options = options_of(recognized(read_picture(path, most) for path in images))
     elif options_of is not None:
-        from clmorph.cli.terminal import note
-
         note("these are the options for photographs: name pictures for those that they choose")
     own = {"format": given["format"], "recipe": given["recipe"], "max_pixels": most}
     settings = {name: value for name, value in own.items() if value is not None}
@@ -210,27 +186,25 @@ def _chosen_by_preset(
     context: click.Context, given: dict[str, Any], line: dict[str, Any]
 ) -> dict[str, Any]:
     """Return `options` and `options_of` of a `Request`; the command line wins over the file."""
-    config, preset = given["config"], given["preset"]
-    file = {} if config is None else config.options
+    config, preset, draft = given["config"], given["preset"], given["draft"]
     wins = context.get_parameter_source("preset") is ParameterSource.COMMANDLINE
-    # Recipes hold all options, so nothing is left to a preset.
-    foreign = config is not None and not config.named.own
 
     def options_of(name: str | None) -> MorphOptions:
-        return MorphOptions.joined(line, name, file, preset_wins=wins, draft=given["draft"])
+        return MorphOptions.joined(line, name, config.options, preset_wins=wins, draft=draft)
 
-    auto = preset == AUTO or (preset is None and not foreign)
+    # Recipes hold all options, so nothing is left to a preset.
+    auto = preset == AUTO or (preset is None and config.named.own)
     return {
         "options": options_of(None if auto else preset),
         "options_of": options_of if auto else None,
     }
 
 
-def _beside(given: dict[str, Any], config: files.Found | None) -> dict[str, Sequence[Path]]:
+def _beside(given: dict[str, Any]) -> dict[str, Sequence[Path]]:
     """Return the files beside the pictures, of the command line or else of the settings."""
     found: dict[str, Sequence[Path]] = {}
     for name in ("labels", "features", "mask", "lut"):
-        line, file = given.get(name), None if config is None else config.beside.get(name)
+        line, file = given.get(name), given["config"].beside.get(name)
         if line:
             found[name] = (line,) if name in ("mask", "lut") else line
         elif file is not None and file.entries == [AUTO, AUTO]:
@@ -247,7 +221,7 @@ def _request(
     counts: tuple[int, float] = (2, math.inf),
     **more: Any,
 ) -> "Request":
-    """Return the request of a command, whose number of pictures is checked."""
+    """Return the request of a command, whose number of pictures and of outputs is checked."""
     from clmorph.cli.request import Request
 
     least, most = counts
@@ -255,29 +229,26 @@ def _request(
         number = {least: "one" if least == 1 else "two", math.inf: "two or more"}.get(
             most, f"{least} to {most}"
         )
-        raise InputError(f"{counted(images)}: expected {number}, as in clmorph {example}")
-    if not given["output"]:
+        pictures = f"{len(images) or 'no'} picture{'s' * (len(images) != 1)}"
+        raise InputError(f"{pictures} given: expected {number}, as in clmorph {example}")
+    if not given["output"] and " -o " in example:
         name = example.split()[-1]
         raise InputError(f"no output given: expected -o with a name, such as -o {name}")
     config, most_pixels = given["config"], given["max_pixels"]
     return Request(
         images, given["output"], max_pixels=MAX_PIXELS if most_pixels is None else most_pixels,
-        format=given.get("format"), recipe=bool(given["recipe"]),
-        config=None if config is None else config.named.file, device=given["device"],
-        backend=given["backend"], as_json=given["as_json"], **more,
+        format=given.get("format"), recipe=bool(given.get("recipe")),
+        config=None if config is files.NOTHING else config.named.file,
+        device=device_name(given["device"], given["backend"]), as_json=given["as_json"], **more,
     )  # fmt: skip
 
 
 @cli.command()
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.InputName())
 @options.file_options
-@_config_option(partial(files.read_settings, command=RearrangeOptions))
-@options.json_option
+@_config_option(RearrangeOptions)
 @options.rearrange_options
-@options.max_pixels_option
-@options.device_options
-@click.pass_context
-def rearrange(context: click.RichContext, /, **given: Any) -> None:
+def rearrange(**given: Any) -> None:
     """Move the pixels of picture A so that they form picture B, and on to C, D and so forth.
 
     \b
@@ -288,15 +259,14 @@ def rearrange(context: click.RichContext, /, **given: Any) -> None:
     from clmorph.cli.rearrange import run_rearrange
 
     chosen = _chosen(RearrangeOptions, given)
-    images = _pictures(given["images"], given["config"])
+    images = _pictures(given)
     run_rearrange(_request(given, images, "rearrange a.png b.jpg -o out.gif", options=chosen))
 
 
 @cli.command()
 @click.argument("images", metavar="PHOTO LIKE", nargs=-1, type=options.InputName())
 @options.picture_options
-@_config_option(partial(files.read_settings, command=RecolorOptions))
-@options.json_option
+@_config_option(RecolorOptions)
 @options.recolor_options
 @click.option(
     "--mask", type=options.InputName(), panel="Color",
@@ -315,10 +285,8 @@ def rearrange(context: click.RichContext, /, **given: Any) -> None:
     "--lut-size", type=click.Choice(["17", "33", "65"]), panel="Output",
     help="Nodes of a .cube along each axis, by default 33.",
 )  # fmt: skip
-@options.max_pixels_option
-@options.device_options
-@click.pass_context
-def recolor(context: click.RichContext, /, **given: Any) -> None:
+@options.input_options
+def recolor(**given: Any) -> None:
     """Give PHOTO the colors of LIKE; every pixel stays in its place.
 
     \b
@@ -331,14 +299,18 @@ def recolor(context: click.RichContext, /, **given: Any) -> None:
     """  # noqa: D301
     from clmorph.cli.recolor import run_recolor
 
-    config, chosen = given["config"], _chosen(RecolorOptions, given)
-    images = _pictures(given["images"], config)
-    beside = _beside(given, config)
+    chosen = _chosen(RecolorOptions, given)
+    images, beside = _pictures(given), _beside(given)
     export_lut, lut_size = given["export_lut"], given["lut_size"]
     if lut_size is not None and not any(path.suffix.lower() == ".cube" for path in export_lut):
         raise InputError("--lut-size without a table: expected --export-lut look.cube as well")
     if "lut" in beside:
-        _check_lut(given)
+        for name in ("color_space", "blur", "reach", "export_lut", "lut_size"):
+            if given[name]:
+                raise InputError(
+                    f"--{name.replace('_', '-')} and --lut contradict: the table says what becomes "
+                    "of each color; give one of them"
+                )
         example, count = "recolor photo.jpg --lut look.cube -o out.png", 1
     else:
         example, count = "recolor photo.jpg like.jpg -o out.png", 2
@@ -346,16 +318,6 @@ def recolor(context: click.RichContext, /, **given: Any) -> None:
         given, images, example, (count, count), options=chosen, beside=beside, tables=export_lut
     )
     run_recolor(request, None if lut_size is None else int(lut_size))
-
-
-def _check_lut(given: Mapping[str, Any]) -> None:
-    """Raise InputError if an option is given that says how a table is made."""
-    for name in ("color_space", "blur", "reach", "export_lut", "lut_size"):
-        if given[name]:
-            raise InputError(
-                f"--{name.replace('_', '-')} and --lut contradict: the table says what becomes of "
-                "each color; give one of them"
-            )
 
 
 @cli.command(epilog=PRESET_LINES)
@@ -374,14 +336,9 @@ def _check_lut(given: Mapping[str, Any]) -> None:
     help="A film in place of a picture: the stops of a path through the mixes, a for the first "
     "picture, b for the second one, and + for the even mix of all, such as ab+dca.",
 )  # fmt: skip
-@options.file_options
-@options.preset_option
-@options.draft_option
-@_config_option(partial(files.read_settings, mixes=True), preset=True)
-@options.json_option
+@options.film_options
+@_config_option(mixes=True)
 @options.mix_options
-@options.max_pixels_option
-@options.device_options
 @click.pass_context
 def mix(context: click.RichContext, /, **given: Any) -> None:
     """Mix several pictures: a grid of pictures between them, or a film.
@@ -399,28 +356,47 @@ def mix(context: click.RichContext, /, **given: Any) -> None:
     from clmorph.cli.mix import run_mix, weights_of
     from clmorph.pipeline.mixing.weights import MOST_IMAGES
 
-    config = given["config"]
     chosen = _chosen_by_preset(context, given, options.given_options(given))
-    images = _pictures(given["images"], config)
+    images = _pictures(given)
     listed = weights_of(given["weights"], len(images)) if images else None
     what = {"grid": given["grid"], "weights": listed, "path": given["path"]}
-    shown = {name: value for name, value in what.items() if value}
-    if config is not None:
-        shown = shown or dict(config.mixes)
+    shown = {name: value for name, value in what.items() if value} or dict(given["config"].mixes)
     example = "mix a.png b.png c.png d.png -o grid.png"
     run_mix(_request(given, images, example, (2, MOST_IMAGES), shown=shown, **chosen))
 
 
+@cli.command(epilog=PRESET_LINES, cls=options.LabeledCommand)
+@click.argument("images", metavar="A B", nargs=-1, type=options.InputName())
+@click.option(
+    "-o", "--output", type=options.OutputName(), panel="File",
+    help="Draw a picture too: .png, .svg or .pdf.",
+)  # fmt: skip
+@options.inspect_options
+@click.pass_context
+def inspect(context: click.RichContext, /, **given: Any) -> None:
+    """Show what a morph would move: how far, how much, how well; how long it would take.
+
+    \b
+    clmorph inspect a.png b.jpg                  numbers
+    clmorph inspect a.png b.jpg -o report.png    and a picture of where everything goes
+    """  # noqa: D301
+    from clmorph.cli.inspect import run_inspect
+
+    given |= {"config": files.NOTHING, "draft": False}
+    given["output"] = () if given["output"] is None else (given["output"],)
+    chosen = _chosen_by_preset(context, given, options.given_options(given))
+    example, beside = "inspect a.png b.jpg", _beside(given)
+    run_inspect(_request(given, given["images"], example, (2, 2), beside=beside, **chosen))
+
+
 def _note(told: set[str], message: Warning | str, *others: Any, **more: Any) -> None:
     """Print a warning as a note, once; else the signature is that of `warnings.showwarning`."""
-    from clmorph.cli.terminal import note
-
     if str(message) not in told:
         told.add(str(message))
         note(options.in_option_names(str(message)))
 
 
-for command in (inspect, batch, studio, comfyui, demo, devices, check, tune, completion):
+for command in MORE_COMMANDS:
     cli.add_command(command)
 
 
@@ -430,4 +406,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with terminable() as ending, warnings.catch_warnings():
         warnings.simplefilter("always", OptionWarning)
         warnings.showwarning = partial(_note, set())
-        return run(cli, arguments, names | options.names_outside(), ending)
+        return run(cli, arguments, names | options.NAMES, ending)

@@ -1,29 +1,17 @@
-"""The commands for many pairs, for looking, and for devices."""
+"""The commands for many pairs, for the page, for ComfyUI, and for devices."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import rich_click as click
 
 from clmorph.cli import options
+from clmorph.cli.terminal import Stages, device_name, open_backend, say
 from clmorph.errors import InputError
-from clmorph.images.pixels import MAX_PIXELS
-from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
+from clmorph.pipeline.presets import AUTO, PRESETS
 
 #: Shells for which completion is supported.
 SHELLS = ("bash", "zsh", "fish")
-#: One line about each preset.
-PRESET_LINES = "Presets:\n\n" + "\n\n".join(
-    f"{name}: {help}"
-    for name, help in ((AUTO, AUTO_HELP), *((name, each.help) for name, each in PRESETS.items()))
-)
-
-
-def counted(images: Sequence[Path]) -> str:
-    """Return the number of given pictures as the beginning of a message."""
-    return f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given"
 
 
 @click.command()
@@ -70,8 +58,7 @@ def counted(images: Sequence[Path]) -> str:
     help="Memory of a local worker, such as 4GB; one that takes more is started again, and its "
     "pair fails.  [default: equal shares]",
 )  # fmt: skip
-@options.max_pixels_option
-@options.device_options
+@options.input_options
 def batch(**given: Any) -> int:
     """Morph thousands of pairs on the workers of Dask (extra "dask").
 
@@ -86,53 +73,6 @@ def batch(**given: Any) -> int:
     from clmorph.cli.batch import run_batch
 
     return run_batch(given)
-
-
-@click.command(epilog=PRESET_LINES, cls=options.LabeledCommand)
-@click.argument("images", metavar="A B", nargs=-1, type=options.InputName())
-@click.option(
-    "-o", "--output", type=options.OutputName(), panel="File",
-    help="Draw a picture too: .png, .svg or .pdf.",
-)  # fmt: skip
-@click.option(
-    "--json", "as_json", is_flag=True, panel="File", help="Print the numbers for programs."
-)
-@click.option(
-    "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Transport",
-    help="Set of options for a kind of pictures, described below.  [default: auto]",
-)  # fmt: skip
-@options.inspect_options
-@options.map_options
-@options.max_pixels_option
-@options.device_options
-def inspect(images: tuple[Path, ...], **given: Any) -> None:
-    """Show what a morph would move: how far, how much, how well; how long it would take.
-
-    \b
-    clmorph inspect a.png b.jpg                  numbers
-    clmorph inspect a.png b.jpg -o report.png    and a picture of where everything goes
-    """  # noqa: D301
-    from clmorph.cli.inspect import run_inspect
-    from clmorph.cli.request import Request
-
-    if len(images) != 2:
-        raise InputError(f"{counted(images)}: expected two, as in clmorph inspect a.png b.jpg")
-    preset, line = given["preset"], options.given_options(given)
-    auto = preset is None or preset == AUTO
-
-    def options_of(name: str | None) -> MorphOptions:
-        return MorphOptions(preset=name, **line)
-
-    run_inspect(
-        Request(
-            images, () if given["output"] is None else (given["output"],),
-            options_of(None if auto else preset),
-            MAX_PIXELS if given["max_pixels"] is None else given["max_pixels"],
-            device=given["device"], backend=given["backend"], as_json=given["as_json"],
-            beside={name: given[name] for name in ("labels", "features") if given[name]},
-            options_of=options_of if auto else None,
-        )
-    )  # fmt: skip
 
 
 @click.command()
@@ -156,10 +96,8 @@ def studio(
     clmorph studio                       http://127.0.0.1:8017/, for this machine alone
     clmorph studio --port 0 --no-browser
     """  # noqa: D301
-    from clmorph.cli.common import device_name
     from clmorph.cli.demo import write_samples
     from clmorph.cli.reporting import line_of
-    from clmorph.cli.terminal import say
     from clmorph.studio.serve import serve
 
     serve(
@@ -189,11 +127,9 @@ def comfyui(folder: Path) -> None:
 @options.device_options
 def demo(device: str | None, backend: str | None) -> None:
     """Morph a bundled sprite into a photograph: clmorph-demo.gif, .html and .png."""
-    from clmorph.cli.common import open_backend
     from clmorph.cli.demo import run_demo
-    from clmorph.cli.terminal import Stages
 
-    operations = open_backend(device, backend)
+    operations = open_backend(device_name(device, backend))
     with Stages() as stages:
         report = run_demo(operations, Path.cwd(), stages)
     for line in report:
@@ -275,3 +211,7 @@ def completion(context: click.RichContext, /, shell: str) -> None:
     assert kind is not None  # click has all of SHELLS
     root = context.find_root().command
     click.echo(kind(root, {}, "clmorph", "_CLMORPH_COMPLETE").source())
+
+
+#: The commands of this module, in the order of the help.
+MORE_COMMANDS = batch, studio, comfyui, demo, devices, check, tune, completion

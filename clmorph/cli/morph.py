@@ -3,18 +3,16 @@
 import itertools
 import math
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.printable import size_text
 from clmorph.backends.interface import Operations
-from clmorph.cli.common import noted_warnings, read_picture
-from clmorph.cli.request import Request
-from clmorph.cli.terminal import Stages, note, say
+from clmorph.cli.request import Prepared, Request
+from clmorph.cli.terminal import Stages, note, noted_warnings, read_picture, say
 from clmorph.clips.reading import is_clip
 from clmorph.errors import ConvergenceWarning, InputError, MemoryWarning, PruningWarning
 from clmorph.images.detail import is_pixel_art
@@ -26,8 +24,6 @@ from clmorph.output.save import PACE, SIZES, recorded_for, write_all
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.clip_morph import EVERY, clip_film
 from clmorph.pipeline.clip_writing import check_clip_outputs, write_clip_film
-from clmorph.pipeline.guides import Guided
-from clmorph.pipeline.maps import Maps
 from clmorph.pipeline.memory import expected, process_memory
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import MorphOptions
@@ -41,43 +37,40 @@ class _Run:
     """A chain of morphs that is prepared, and what is known of those that are solved."""
 
     request: Request
-    whole: Sequence[NDArray[Any]]
-    guide: Guided
+    ready: Prepared
     options: MorphOptions
-    maps: Maps
-    operations: Operations
     solved: list[Potentials] = field(default_factory=list)
     particles: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.pictures = fitted(self.whole, self.options)
+        self.pictures = fitted(self.ready.pictures, self.options)
         self.several = len(self.pictures) > 2
 
     @property
     def metadata(self) -> dict[str, Any]:
         """The recipe of the film."""
-        return self.request.metadata(self.options, self.operations)
+        return self.request.metadata(self.options, self.ready.operations)
 
     def memory(self) -> str:
         """Return a text about the most memory of the process, and the sizes of what is solved."""
-        options, process = self.options, process_memory(self.operations)
-        pairs = list(itertools.pairwise(map(_shape, self.pictures)))
+        options, maps, operations = self.options, self.ready.maps, self.ready.operations
+        process = process_memory(operations)
+        shapes = [(height, width, count) for height, width, count in map(np.shape, self.pictures)]
+        pairs = list(itertools.pairwise(shapes))
         needs = [
-            expected(
-                pair, options, self.operations, self.maps, process=process, chained=self.several
-            )
+            expected(pair, options, operations, maps, process=process, chained=self.several)
             for pair in pairs
         ]
         text = f"memory: about {size_text(max(need.ram for need in needs))}"
         if not needs[0].shared:
             text += f", {size_text(max(need.device for need in needs))} on the device"
         most = options.solve_size
-        shapes = [shape[:2] for pair in pairs for shape in lifted_shapes(pair, options, self.maps)]
-        taken = {solved_size(shape, most) for shape in shapes if block_side(shape, most) > 1}
+        lifted = [shape[:2] for pair in pairs for shape in lifted_shapes(pair, options, maps)]
+        taken = {solved_size(shape, most) for shape in lifted if block_side(shape, most) > 1}
         if taken:
             numbers = " and ".join(map(str, sorted(taken)))
             text += f"; solved at {numbers} blocks of pixels along the longer side"
-        if all(a.shape == b.shape for a, b in zip(self.whole, self.pictures, strict=True)):
+        if all(a.shape == b.shape for a, b in zip(self.ready.pictures, self.pictures, strict=True)):
             return text
         if options.detail == "pixels":
             return f"{text}; blocks of the sprites are taken as pixels"
@@ -85,11 +78,11 @@ class _Run:
 
     def morphs(self, stages: Stages) -> Iterator[Morph]:
         """Compute the morphs of successive pictures, one at a time."""
-        shapes = shapes_of(self.whole)
+        shapes = shapes_of(self.ready.pictures)
         for number, pair in enumerate(itertools.pairwise(self.pictures)):
-            options = self.guide.of(number).replace(max_memory=self.options.max_memory)
-            morph = ImagePair(pair, options, shapes[number : number + 2], self.maps).morph(
-                self.operations, stages.marked(f" {number + 1}" if self.several else "")
+            options = self.ready.guide.of(number).replace(max_memory=self.options.max_memory)
+            morph = ImagePair(pair, options, shapes[number : number + 2], self.ready.maps).morph(
+                self.ready.operations, stages.marked(f" {number + 1}" if self.several else "")
             )
             _note_misses(morph)
             self.solved.append(morph.potentials)
@@ -112,9 +105,10 @@ def run_morph(request: Request, line: Collection[str]) -> None:
             f"--{name} is for two pictures, but {count} are given: morph them two at a time"
         )
     pairs = list(itertools.pairwise(range(count)))
-    whole, maps, guide, preset, operations = request.prepared(pairs)
-    options = _capped(guide.options, operations) if request.capped else guide.options
-    run = _Run(request, whole, guide, options, maps, operations)
+    ready = request.prepared(pairs)
+    options, operations = ready.guide.options, ready.operations
+    options = _capped(options, operations) if request.capped else options
+    run = _Run(request, ready, options)
     say(run.memory())
 
     with request.stages() as stages, noted_warnings() as notes:
@@ -140,17 +134,12 @@ def run_morph(request: Request, line: Collection[str]) -> None:
                 places, film, run.options, stages.writing, request.texts(run.options, operations)
             )
             summary = _summary(run, film, notes)
-    if preset is not None:
-        summary["preset"] = preset
-    summary["found"] = guide.found
+    if ready.preset is not None:
+        summary["preset"] = ready.preset
+    summary["found"] = ready.guide.found
     worst = max(run.solved, key=lambda potentials: potentials.residual)
     made = f"{len(film)} frames{request.round_text(film.duration)}"
     request.finish(summary, stages, made, f"; {worst.message}")
-
-
-def _shape(picture: NDArray[np.float64]) -> tuple[int, int, int]:
-    height, width, channels = picture.shape
-    return height, width, channels
 
 
 def _capped(options: MorphOptions, operations: Operations) -> MorphOptions:

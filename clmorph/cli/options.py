@@ -6,8 +6,9 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
+from functools import reduce
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import rich_click as click
 
@@ -36,7 +37,15 @@ from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recolor_options import RecolorOptions
 from clmorph.transport.options import PlanOptions, SolverOptions
 
-Command = TypeVar("Command", bound=Callable[..., Any])
+Decorator = Callable[[Any], Any]
+
+#: The options of all commands, and their names on the command line, by their names in Python.
+KNOWN: dict[str, Option] = {
+    name: known
+    for kind in (RecolorOptions, RearrangeOptions, MorphOptions)
+    for name, known in specifications(kind).items()
+}
+NAMES = {name: "--" + outside_name(name, known).replace("_", "-") for name, known in KNOWN.items()}
 
 
 class FileName(click.Path):
@@ -159,95 +168,61 @@ def given_options(
     return found
 
 
-def names_outside() -> dict[str, str]:
-    """Return the name of each option on the command line, by its name in Python."""
-    return {
-        name: "--" + outside_name(name, known).replace("_", "-")
-        for name, known in _all_options().items()
-    }
-
-
-def _all_options() -> dict[str, Option]:
-    """Return the options of all commands, by their names in Python."""
-    found: dict[str, Option] = {}
-    for kind in (RecolorOptions, RearrangeOptions, MorphOptions):
-        found |= specifications(kind)
-    return found
-
-
 def in_option_names(message: str, more: Mapping[str, str] | None = None) -> str:
     """Return a message in which options are written as on the command line.
 
     ``n_frames=1`` becomes ``--frames 1``, and None the option's word. `more` names further
     arguments on the command line, by their names in Python.
     """
-    known, names = _all_options(), names_outside()
     first = re.match(r"(\w+)=", message)
-    word = known[first[1]].word if first and first[1] in known else ""
+    word = KNOWN[first[1]].word if first and first[1] in KNOWN else ""
     for end in (", or None for balanced transport", ", or None"):
         message = message.replace(end, f", or {word!r}" if word else end)
 
     def named(found: re.Match[str]) -> str:
         name, value = found[1], found[2]
-        if name not in names:
+        if name not in NAMES:
             return f"{more[name]} {value}" if more and name in more else found[0]
         if value == "True":
-            return names[name]
-        return f"{names[name]} {known[name].word if value == 'None' else value}"
+            return NAMES[name]
+        return f"{NAMES[name]} {KNOWN[name].word if value == 'None' else value}"
 
     return re.sub(r"\b(\w+)=(None\b|True\b|)", named, message)
 
 
-def _together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
+def _together(*decorators: Decorator) -> Decorator:
     """Combine decorators into one; the first one is the outermost."""
-
-    def decorate(command: Command) -> Command:
-        for decorator in reversed(decorators):
-            command = decorator(command)
-        return command
-
-    return decorate
+    return lambda command: reduce(lambda done, each: each(done), reversed(decorators), command)
 
 
-def _option(panel: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
-    return click.option(*names, panel=panel, **settings)
-
-
-def _of(
-    options: type[Options], *names: str, usual: type[Options] = MorphOptions
-) -> Callable[[Command], Command]:
+def _of(options: type[Options], *names: str, usual: type[Options] = MorphOptions) -> Decorator:
     """Return the decorator for all options of a class, or for the named ones."""
     known = specifications(options)
     return _together(*(_one(name, known[name], getattr(usual, name)) for name in names or known))
 
 
-def _one(name: str, known: Option, default: Any) -> Callable[[Command], Command]:
+def _one(name: str, known: Option, default: Any) -> Decorator:
     """Return the decorator for one option of the command line."""
-    line = names_outside()[name]
-    is_flag = not known.kind.metavar
+    line, text = NAMES[name], known.help
+    if not known.kind.metavar:
+        both = f"{line}/--no-{line[2:]}"
+        return click.option(both, name, is_flag=True, default=None, panel=known.panel, help=text)
     # The default of `MorphOptions` can differ from that of the stage's own class.
     usual = to_outside(known, default)
-    number = not isinstance(usual, str)
-    unit = f" {known.unit}" if known.unit and number else ""
-    shown = "" if is_flag or usual == "none" else f"  [default: {_plainly(usual)}{unit}]"
-    shown = f"  [unit: {known.unit}]{shown}" if known.unit and not number else shown
-    if is_flag:
-        return _option(
-            known.panel, f"{line}/--no-{line[2:]}", name, is_flag=True, default=None,
-            help=known.help,
-        )  # fmt: skip
+    shown = f"{usual:g}" if isinstance(usual, float) else str(usual)
+    if known.unit and isinstance(usual, str):
+        text += f"  [unit: {known.unit}]"
+    elif known.unit:
+        shown += f" {known.unit}"
+    text += "" if usual == "none" else f"  [default: {shown}]"
     kind = Value(name, known)
-    return _option(
-        known.panel, line, name, type=kind, metavar=kind.name, help=known.help + shown,
+    return click.option(
+        line, name, type=kind, metavar=kind.name, panel=known.panel, help=text,
         multiple=known.kind.several,
     )  # fmt: skip
 
 
-def _plainly(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _transport(*guides: str) -> Callable[[Command], Command]:
+def _transport(*guides: str) -> Decorator:
     """Return the decorator for the options of the transport, with the named guides or all."""
     return _together(
         _of(BudgetOptions),
@@ -260,37 +235,17 @@ def _transport(*guides: str) -> Callable[[Command], Command]:
     )
 
 
-_frames = _together(_of(PlanOptions), _of(RenderOptions))
-morph_options = _together(_of(PlaybackOptions), _transport(), _frames)
-mix_options = _together(_of(PlaybackOptions), _transport("landmarks"), _frames)
-inspect_options = _together(
-    _transport(), _of(PlanOptions, "log_threshold"), _of(PlaybackOptions, "n_frames")
-)
-
-rearrange_options = _together(
-    _of(PlaybackOptions),
-    _of(
-        RearrangeOptions, "size", "color_weight", "color_space", "extent", "gap", "seed",
-        usual=RearrangeOptions,
-    ),
-)  # fmt: skip
-
-recolor_options = _of(RecolorOptions, usual=RecolorOptions)
-
-
-def _outputs(
-    help: str, formats: Iterable[str], *style: Callable[[Any], Any]
-) -> Callable[[Any], Any]:
+def _outputs(help: str, formats: Iterable[str], *style: Decorator) -> Decorator:
     """Return the decorator for the options of output files."""
     return _together(
-        _option("File", "-o", "--output", type=OutputName(), multiple=True, help=help),
-        _option(
-            "File", "--format", type=click.Choice(list(formats)),
+        click.option("-o", "--output", panel="File", type=OutputName(), multiple=True, help=help),
+        click.option(
+            "--format", panel="File", type=click.Choice(list(formats)),
             help="Format of the output, where its ending does not choose it.",
         ),
         *style,
-        _option(
-            "File", "--recipe/--no-recipe", is_flag=True, default=None,
+        click.option(
+            "--recipe/--no-recipe", panel="File", is_flag=True, default=None,
             help="Write OUTPUT.json beside the file; --config repeats the run from it.",
         ),
     )  # fmt: skip
@@ -309,46 +264,72 @@ picture_options = _outputs(
     [*(ending[1:] for ending in ENCODERS), *CONTAINERS],
 )
 
-preset_option = _option(
-    "Settings", "--preset", type=click.Choice([AUTO, *PRESETS]),
+preset_option = click.option(
+    "--preset", panel="Settings", type=click.Choice([AUTO, *PRESETS]),
     help="Set of options for a kind of pictures, described below.  [default: auto]",
 )  # fmt: skip
-draft_option = _option(
-    "Settings", "--draft", is_flag=True,
+draft_option = click.option(
+    "--draft", panel="Settings", is_flag=True,
     help="A first look in a few seconds (without an OpenCL device up to a minute): smaller, "
     "with fewer frames and less accuracy.",
 )  # fmt: skip
-json_option = _option(
-    "Settings", "--json", "as_json", is_flag=True, help="Print a summary for programs."
+json_option = click.option(
+    "--json", "as_json", panel="Settings", is_flag=True, help="Print a summary for programs."
 )
 
 device_options = _together(
-    _option(
-        "Device", "--device", metavar="NAME",
+    click.option(
+        "--device", panel="Device", metavar="NAME",
         help="OpenCL device: an index (0:1) or part of a name; several, joined by commas, share "
         "the work.",
     ),
-    _option(
-        "Device", "--backend", metavar="NAME",
+    click.option(
+        "--backend", panel="Device", metavar="NAME",
         help="auto, opencl, numpy, or what --device takes.  [default: auto]",
     ),
 )  # fmt: skip
 
 map_options = _together(
-    _option(
-        "Transport", "--labels", type=InputName(), nargs=2, metavar="A B|auto",
+    click.option(
+        "--labels", panel="Transport", type=InputName(), nargs=2, metavar="A B|auto",
         help="Label images of both pictures, of their sizes: gray levels, indices of a palette or "
         "colors of PNG files, or .npy. Mass never changes its label. auto: people, or what is not "
         "transparent.",
     ),
-    _option(
-        "Transport", "--features", type=InputName(), nargs=2, metavar="A B",
+    click.option(
+        "--features", panel="Transport", type=InputName(), nargs=2, metavar="A B",
         help="Additional coordinates of each pixel in the cost, such as depth: .npy or pictures. "
         "--feature-weight scales them.",
     ),
 )  # fmt: skip
 
-max_pixels_option = _option(
-    "Transport", "--max-pixels", type=int,
-    help=f"Refuse picture files with more pixels.  [default: {MAX_PIXELS}]",
+input_options = _together(
+    click.option(
+        "--max-pixels", panel="Transport", type=int,
+        help=f"Refuse picture files with more pixels.  [default: {MAX_PIXELS}]",
+    ),
+    device_options,
 )  # fmt: skip
+
+film_options = _together(file_options, preset_option, draft_option)
+_frames = _together(_of(PlanOptions), _of(RenderOptions))
+morph_options = _together(
+    json_option, _of(PlaybackOptions), _transport(), _frames, map_options, input_options
+)
+mix_options = _together(
+    json_option, _of(PlaybackOptions), _transport("landmarks"), _frames, input_options
+)
+inspect_options = _together(
+    preset_option, json_option, _transport(), _of(PlanOptions, "log_threshold"),
+    _of(PlaybackOptions, "n_frames"), map_options, input_options,
+)  # fmt: skip
+rearrange_options = _together(
+    json_option,
+    _of(PlaybackOptions),
+    _of(
+        RearrangeOptions, "size", "color_weight", "color_space", "extent", "gap", "seed",
+        usual=RearrangeOptions,
+    ),
+    input_options,
+)  # fmt: skip
+recolor_options = _together(json_option, _of(RecolorOptions, usual=RecolorOptions))

@@ -2,15 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 
-from clmorph._shared.typing import Array
-from clmorph.backends.interface import Operations
 from clmorph.cli.request import Request
-from clmorph.cli.terminal import Stages
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.resizing import as_unit
 from clmorph.output.save import recorded_for, write_all
 from clmorph.pipeline.rearrange import Rearrangement, arranged
-from clmorph.pipeline.rearrange_options import RearrangeOptions
 
 
 def run_rearrange(request: Request) -> None:
@@ -22,9 +18,18 @@ def run_rearrange(request: Request) -> None:
     request.note_thin(pictures[:1], options)
     operations = request.open()
     done: list[dict[str, float]] = []
+
+    def chain() -> Iterator[Rearrangement]:
+        pixels = pictures[0]
+        for number, picture in enumerate(pictures[1:], 1):
+            report = stages.marked(f" {number}" if len(pictures) > 2 else "")
+            found = arranged((pixels, picture), options, operations, report)
+            done.append({"cost": found.cost, "lower_bound": found.lower_bound})
+            pixels = found[-1].astype(float)
+            yield found
+
     with request.stages() as stages, recorded_for(
-        places, _chain(pictures, options, operations, stages, done), motion,
-        n_morphs=len(pictures) - 1, reverse=options.reverse,
+        places, chain(), motion, n_morphs=len(pictures) - 1, reverse=options.reverse,
         pixelated=is_pixel_art(as_unit(pictures[0])),
         parameters=request.metadata(options, operations), progress=stages,
     ) as film:  # fmt: skip
@@ -39,23 +44,6 @@ def run_rearrange(request: Request) -> None:
     request.finish(
         summary, stages, f"{len(film)} frames", f"; the arrangement costs {_proof(done)}"
     )
-
-
-def _chain(
-    pictures: Sequence[Array],
-    options: RearrangeOptions,
-    operations: Operations,
-    stages: Stages,
-    done: list[dict[str, float]],
-) -> Iterator[Rearrangement]:
-    """Rearrange the pixels of the first picture into each next one, one at a time."""
-    pixels = pictures[0]
-    for number, picture in enumerate(pictures[1:], 1):
-        report = stages.marked(f" {number}" if len(pictures) > 2 else "")
-        found = arranged((pixels, picture), options, operations, report)
-        done.append({"cost": found.cost, "lower_bound": found.lower_bound})
-        pixels = found[-1].astype(float)
-        yield found
 
 
 def _proof(assignments: Sequence[dict[str, float]]) -> str:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.files import write_together
-from clmorph.cli.common import noted_warnings, quiet_libraries, read_picture
 from clmorph.cli.request import Request
+from clmorph.cli.terminal import noted_warnings, quiet_libraries, read_picture
 from clmorph.clips.reading import is_clip
 from clmorph.clips.writing import CONTAINERS
 from clmorph.errors import FileError, InputError

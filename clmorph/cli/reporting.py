@@ -19,13 +19,6 @@ from clmorph.cli.options import in_option_names
 from clmorph.errors import ClmorphError, FileError
 
 
-def _complain(text: str) -> None:
-    """Print a line on standard error, if it is writable; long numbers in it are shortened."""
-    text = re.sub(r"\d{100,}", lambda found: f"{found[0][:50]}…", text)
-    with suppress(OSError):
-        click.echo(f"clmorph: {printable(text, MESSAGE)}", err=True)
-
-
 def run(
     command: click.Command,
     arguments: Sequence[str] | None,
@@ -62,7 +55,9 @@ def run(
         if is_closed_pipe(error):
             return 0
         line = f"error: {_reason(error)}"
-    _complain(line)
+    line = re.sub(r"\d{100,}", lambda found: f"{found[0][:50]}…", line)  # a number in it
+    with suppress(OSError):
+        click.echo(f"clmorph: {printable(line, MESSAGE)}", err=True)
     return 2
 
 

@@ -14,13 +14,15 @@ from clmorph._shared.files import check_apart, check_place, is_standard_output
 from clmorph._shared.options import Options
 from clmorph._shared.printable import printable
 from clmorph.backends.interface import Operations
-from clmorph.cli.common import (
+from clmorph.cli.terminal import (
+    Stages,
+    note,
     noted_libraries,
     open_backend,
     quiet_libraries,
     read_picture,
+    say,
 )
-from clmorph.cli.terminal import Stages, note, say
 from clmorph.errors import InputError, OutputError
 from clmorph.images.pixels import reduced_shape
 from clmorph.output.playback import Motion, held_frames, motion_of
@@ -60,8 +62,7 @@ class Request:
     recipe: bool = False
     #: The file of settings, which must not be overwritten.
     config: Path | None = None
-    device: str | None = None
-    backend: str | None = None
+    device: str = "auto"
     as_json: bool = False
     #: Files beside the pictures, by what they are: labels, features, mask.
     beside: Mapping[str, Sequence[Path]] = field(default_factory=dict)
@@ -177,7 +178,7 @@ class Request:
 
     def open(self) -> Operations:
         """Choose the device and print its name."""
-        return open_backend(self.device, self.backend)
+        return open_backend(self.device)
 
     def stages(self) -> Stages:
         """Return the display of the command's progress, after its preparation."""

@@ -1,22 +1,22 @@
-"""Progress bars, notes and times of the command line."""
+"""What commands share: notes, tables, progress and times, reading pictures, opening a device."""
 
+import logging
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import IO, Any, Self, cast
 
+from rich import progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.table import Table
 
 from clmorph._shared.printable import MESSAGE, printable
+from clmorph._shared.validation import check_max_pixels
+from clmorph.cli.options import in_option_names
+from clmorph.errors import ImageWarning, InputError
 from clmorph.output.save import Output
 
 
@@ -36,6 +36,8 @@ class _StandardError:
             sys.stderr.flush()
 
 
+#: A handler that keeps Python from printing log records without another handler.
+SILENT = logging.NullHandler()
 #: Console for progress, notes and errors; results go to standard output.
 NOTES = Console(
     file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True, markup=False, emoji=False
@@ -56,6 +58,88 @@ def note(text: object) -> None:
     say(f"note: {text}")
 
 
+def print_table(
+    titles: Iterable[str], rows: Iterable[Iterable[str]], right: Iterable[str] = ()
+) -> None:
+    """Print rows under the titles of their columns, of which those of `right` are set right."""
+    table = Table(box=None, pad_edge=False)
+    for title in titles:
+        table.add_column(title, "", overflow="fold", justify="right" if title in right else "left")
+    for row in rows:
+        table.add_row(*(printable(cell, MESSAGE) for cell in row))
+    RESULTS.print(table)
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
+    """Hide messages of Pillow about unusual metadata, and yield the warnings of clmorph itself.
+
+    Such messages do not help the user, because clmorph itself checks pixels and recipes. Only the
+    command line may use this function, because it changes the global state of the process.
+    """
+    log = logging.getLogger("PIL")
+    log.addHandler(SILENT)
+    try:
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("always", ImageWarning)
+            yield found
+    finally:
+        log.removeHandler(SILENT)
+
+
+@contextmanager
+def noted_libraries() -> Iterator[None]:
+    """Hide what `quiet_libraries` hides, and print warnings of clmorph as notes."""
+    with quiet_libraries() as found:
+        yield
+    for remark in found:
+        note(remark.message)
+
+
+@contextmanager
+def noted_warnings() -> Iterator[list[Warning]]:
+    """Print warnings as notes, and yield a list that has them."""
+    notes: list[Warning] = []
+
+    def show(message: Any, *others: Any, **more: Any) -> None:
+        notes.append(message)
+        note(in_option_names(str(message)))
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield notes
+
+
+def read_picture(path: Path, max_pixels: int) -> Any:
+    """Read an image as `clmorph.images.pixels.as_samples` has it; print its warnings as notes."""
+    from clmorph.images.pixels import read_visible
+
+    check_max_pixels(max_pixels)  # so that an error concerns the option, not the file
+    with noted_libraries():
+        return read_visible(path, max_pixels)
+
+
+def device_name(device: str | None, backend: str | None) -> str:
+    """Return the device that ``--device`` or ``--backend`` names; both may not differ."""
+    if device is not None and backend not in (None, "auto", "opencl"):
+        raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
+    return device or backend or "auto"
+
+
+def open_backend(name: str) -> Any:
+    """Choose the device that is named and print its own name."""
+    from clmorph.backends.multi_device import sharing_notes
+    from clmorph.backends.select import get_backend
+
+    with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
+        operations = get_backend(name)
+    say(f"device: {operations.description}")
+    for each in sharing_notes(operations):
+        note(each)
+    return operations
+
+
 class Stages:
     """Progress bars, one for each stage; they are hidden if standard error is no terminal.
 
@@ -65,19 +149,19 @@ class Stages:
     """
 
     def __init__(self, began: float | None = None) -> None:
-        self._bars = Progress(
-            TextColumn("{task.description:12}", markup=False),
-            BarColumn(),
-            TextColumn("{task.percentage:>3.0f} %"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(compact=True),
-            TextColumn("{task.fields[note]}", markup=False),
+        self._bars = progress.Progress(
+            progress.TextColumn("{task.description:12}", markup=False),
+            progress.BarColumn(),
+            progress.TextColumn("{task.percentage:>3.0f} %"),
+            progress.TimeElapsedColumn(),
+            progress.TextColumn("left"),
+            progress.TimeRemainingColumn(compact=True),
+            progress.TextColumn("{task.fields[note]}", markup=False),
             console=NOTES,
             disable=not NOTES.is_terminal,
             transient=True,
         )
-        self._tasks: dict[str, TaskID] = {}
+        self._tasks: dict[str, progress.TaskID] = {}
         self._counted_to = time.perf_counter() if began is None else began
         self.seconds: dict[str, float] = {}
 

@@ -10,7 +10,6 @@ from typing import Any
 
 from clmorph._shared.options import (
     Option,
-    Options,
     from_line,
     outside_name,
     specifications,
@@ -235,14 +234,6 @@ def python_code(choices: Choices, recognized: str, names: Sequence[str]) -> str:
             code,
         )
     )
-
-
-def memory_given(options: Options, choices: Choices) -> Choices:
-    """Return choices that name the memory limit of options, if they have one."""
-    limit = getattr(options, "max_memory", None)
-    if limit is None or choices.given.get("max_memory") is not None:
-        return choices
-    return replace(choices, given={**choices.given, "max_memory": limit})
 
 
 def with_reach(choices: Choices, recognized: str) -> Choices:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import PurePath
-from types import MappingProxyType
 from typing import Any
 
 from clmorph._shared.options import Option, Options, outside_name, specifications, to_outside
@@ -17,10 +16,10 @@ from clmorph.pipeline.recolor_options import RecolorOptions
 MIN_PICTURES, MAX_PICTURES = 2, MOST_IMAGES
 #: What painted regions can be, each with the number of pictures that have them: the first ones.
 PAINTED = {"labels": 2, "mask": 1}
+#: What each preset does, in a line.
+PRESET_HELP = {AUTO: AUTO_HELP, **{name: each.help for name, each in PRESETS.items()}}
 #: Formats of films, and of pictures, with the recipe, that the page offers by their endings.
 FILMS, STILLS = ("gif", "webp", "mp4", "html", "json"), ("png", "json")
-
-_NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Kind:
     #: The options that stand first, each with what it does to the picture.
     main: Mapping[str, str]
     #: Ends of their sliders, in the unit outside, and whether a step multiplies.
-    sliders: Mapping[str, tuple[float, float, bool]] = field(default_factory=lambda: _NOTHING)
+    sliders: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
     #: Largest number of pictures.
     most: int = MAX_PICTURES
     #: Endings of the files that the page offers.
@@ -61,10 +60,9 @@ class Kind:
         """Return the description of the kind and of its controls, for the page."""
         return {
             "name": self.name, "title": self.title, "action": self.action, "help": self.help,
-            "output": self.output, "downloads": list(self.downloads),
-            "most": self.most,
+            "output": self.output, "downloads": list(self.downloads), "most": self.most,
             "landmarks": self.landmarks, "painted": self.painted, "grid": self.grid,
-            "presets": _presets() if self.presets else {},
+            "presets": PRESET_HELP if self.presets else {},
             "options": [
                 self._control(name, known)
                 for name, known in specifications(self.options).items()
@@ -97,10 +95,6 @@ def painted_name(painted: str, name: str) -> str:
 def painted_ending(painted: str) -> str:
     """Return how the names of files with painted regions end, without the file's ending."""
     return f"-{painted}"
-
-
-def _presets() -> dict[str, str]:
-    return {AUTO: AUTO_HELP, **{name: each.help for name, each in PRESETS.items()}}
 
 
 _MORPH_MAIN = {

@@ -3,7 +3,6 @@
 import base64
 import io
 import itertools
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -48,38 +47,20 @@ LONGEST = 256
 LEAST = 1e-3
 
 
-class Made(ABC):
+@dataclass(frozen=True)
+class Made:
     """What was made; it can be written to a file."""
 
-    @property
-    @abstractmethod
-    def message(self) -> str:
-        """How the computation ended, in a line; "" if there is nothing to say."""
+    #: How the computation ended, in a line.
+    message: str
+    #: Writes it, with its recipe, to a file in the format of its ending.
+    write: Callable[[Path, dict[str, Any], StageProgress], None]
+    #: Morphs, or rearrangements, one after the other, if it is a film.
+    parts: Sequence[FrameSequence] = ()
 
     @property
     def unmatched(self) -> list[tuple[str, str]]:
-        """Pictures of destroyed and of created mass for each part, as addresses of data."""
-        return []
-
-    @abstractmethod
-    def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
-        """Write it to a file in the format of its ending."""
-
-
-@dataclass(frozen=True)
-class Film(Made):
-    """Morphs, or rearrangements, one after the other."""
-
-    parts: Sequence[FrameSequence]
-
-    @property
-    def message(self) -> str:
-        """How the solve with the largest residual ended."""
-        return max(self.parts, key=lambda each: each.potentials.residual).potentials.message
-
-    @property
-    def unmatched(self) -> list[tuple[str, str]]:
-        """Pictures of destroyed and of created mass for each morph; none if all mass moves."""
+        """Pictures of destroyed and of created mass for each part; none if all mass moves."""
         shares = [unmatched_shares(part) for part in self.parts]
         if not any(np.any(share > 0) for both in shares for share in both):
             return []
@@ -88,54 +69,26 @@ class Film(Made):
             for destroyed, created in shares
         ]
 
-    def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
-        """Write it to a file in the format of its ending, and keep the frames for the next one."""
-        morphs = [part for part in self.parts if isinstance(part, Morph)]
-        need = sum(4 * len(part) * np.prod(part.canvas(0.5).shape) * 4 for part in morphs)
-        if need <= MOST_KEPT:
-            for number, part in enumerate(morphs, 1):
-                keep_frames(part, _marked(report, number, len(morphs) + 1))
-        save(self.parts, path, parameters=parameters, progress=report)
-
     def still(self, time: float) -> Array:
-        """Return the frame at a time, from 0 to the number of parts: (H, W, C) in [0, 1]."""
+        """Return a film's frame at a time, from 0 to the number of parts: (H, W, C) in [0, 1]."""
         part = min(int(time), len(self.parts) - 1)
         return np.asarray(self.parts[part].frame(min(time - part, 1.0)), np.float64)
 
 
-@dataclass(frozen=True)
-class Picture(Made):
-    """A recolored picture, (H, W, 3 or 4) in [0, 1], and its colors' mean change in 255ths."""
+def film_of(parts: Sequence[FrameSequence]) -> Made:
+    """Return morphs, or rearrangements, as a film; the worst solve says how it ended."""
 
-    pixels: Array
-    changed: float
+    def write(path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
+        """Write it, and keep the frames for the next file."""
+        morphs = [part for part in parts if isinstance(part, Morph)]
+        need = sum(4 * len(part) * np.prod(part.canvas(0.5).shape) * 4 for part in morphs)
+        if need <= MOST_KEPT:
+            for number, part in enumerate(morphs, 1):
+                keep_frames(part, _marked(report, number, len(morphs) + 1))
+        save(parts, path, parameters=parameters, progress=report)
 
-    @property
-    def message(self) -> str:
-        """How much the colors changed."""
-        return f"colors changed by {self.changed:.0f} of 255 on average"
-
-    def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
-        """Write it to a file in the format of its ending."""
-        with atomic_path(path) as file:
-            write_picture(self.pixels, parameters, file)
-
-
-@dataclass(frozen=True)
-class Sheet(Made):
-    """Mixes side by side, in 8 bits: (H, W, 3) or (H, W, 4) array; `count` is their number."""
-
-    pixels: np.ndarray[Any, np.dtype[np.uint8]]
-    count: int
-
-    @property
-    def message(self) -> str:
-        """How many mixes there are."""
-        return f"{self.count} mixes"
-
-    def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
-        """Write it to a file in the format of its ending."""
-        write_sheet([Output(path)], self.pixels, parameters)
+    worst = max((part.potentials for part in parts), key=lambda each: each.residual)
+    return Made(worst.message, write, parts)
 
 
 @dataclass(frozen=True)
@@ -151,7 +104,7 @@ class Task:
     grid: Any = None
 
 
-def make_morphs(task: Task, report: StageProgress) -> Film:
+def make_morphs(task: Task, report: StageProgress) -> Made:
     """Morph each picture into the next one."""
     labels = tuple(read_labels(path) for path in task.painted)
     found = []
@@ -165,20 +118,20 @@ def make_morphs(task: Task, report: StageProgress) -> Film:
                 progress=_marked(report, number, len(task.pictures)),
             )
         )  # fmt: skip
-    return Film(found)
+    return film_of(found)
 
 
-def make_rearrangements(task: Task, report: StageProgress) -> Film:
+def make_rearrangements(task: Task, report: StageProgress) -> Made:
     """Move the pixels of the first picture so that they form each next one."""
     pixels, found = task.pictures[0], []
     for number, picture in enumerate(task.pictures[1:], 1):
         marked = _marked(report, number, len(task.pictures))
         found.append(arranged((pixels, picture), task.options, task.operations, marked))
         pixels = found[-1][-1].astype(float)
-    return Film(found)
+    return film_of(found)
 
 
-def make_recolored(task: Task, report: StageProgress) -> Picture:
+def make_recolored(task: Task, report: StageProgress) -> Made:
     """Give the first picture the colors of the second one."""
     mask = None
     if task.painted:
@@ -188,16 +141,27 @@ def make_recolored(task: Task, report: StageProgress) -> Picture:
             mask = reduced_labels(mask.astype(np.int64), (shape[0], shape[1])).astype(float)
     photo, like = map(as_unit, task.pictures)
     found, _ = recolored(photo, like, task.options, mask, task.operations, report)
-    return Picture(found, 255 * float(np.abs(found - photo)[..., :3].mean()))
+    changed = 255 * float(np.abs(found - photo)[..., :3].mean())
+
+    def write(path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
+        with atomic_path(path) as file:
+            write_picture(found, parameters, file)
+
+    return Made(f"colors changed by {changed:.0f} of 255 on average", write)
 
 
-def make_mixes(task: Task, report: StageProgress) -> Sheet:
+def make_mixes(task: Task, report: StageProgress) -> Made:
     """Mix pictures on a sheet."""
     mixes = mixes_of(
         check_images(list(task.pictures)), None, task.options, grid=task.grid, preset=None,
         draft=False, backend=task.operations, progress=report, given={},
     )  # fmt: skip
-    return Sheet(mixes.sheet(task.options.background), len(mixes))
+    sheet = mixes.sheet(task.options.background)
+
+    def write(path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
+        write_sheet([Output(path)], sheet, parameters)
+
+    return Made(f"{len(mixes)} mixes", write)
 
 
 def _marked(report: StageProgress, number: int, count: int) -> StageProgress:

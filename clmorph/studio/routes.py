@@ -43,10 +43,10 @@ ALIVE = 15.0
 PAGE = {
     "/": ("studio.html", "text/html"),
     "/studio.css": ("studio.css", "text/css"),
-    "/studio.js": ("studio.js", "text/javascript"),
-    "/landmarks.js": ("landmarks.js", "text/javascript"),
-    "/brush.js": ("brush.js", "text/javascript"),
-    "/compare.js": ("compare.js", "text/javascript"),
+    **{
+        f"/{name}.js": (f"{name}.js", "text/javascript")
+        for name in ("studio", "landmarks", "brush", "compare")
+    },
 }
 #: Media types of what the page shows.
 MEDIA = {".html": "text/html", ".png": "image/png"}

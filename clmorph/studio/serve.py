@@ -15,7 +15,6 @@ from pathlib import Path
 from clmorph._shared.printable import reason_of
 from clmorph._shared.signals import note_partial
 from clmorph._shared.staging import staging_folder
-from clmorph._shared.validation import check_integer
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.select import get_backend
 from clmorph.errors import InputError, OutputError
@@ -56,8 +55,6 @@ def serve(
     from clmorph.studio.routes import Studio
     from clmorph.studio.worker import Worker
 
-    if port is not None:
-        port = check_integer("port", port, 0, 65535)
     listening = _listen(host, port)
     taken = listening.getsockname()[1]
     token = "" if _is_loopback(host) else secrets.token_urlsafe(24)

@@ -24,8 +24,8 @@ from clmorph.pipeline.mixing.mixes import pairs_of
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import recognized
 from clmorph.pipeline.recipe import picture_entries, recipe
-from clmorph.studio.choices import LANDMARKS_FOUND, Choices, command_line, memory_given, python_code
-from clmorph.studio.making import MAKERS, Film, Task, small_tasks
+from clmorph.studio.choices import LANDMARKS_FOUND, Choices, command_line, python_code
+from clmorph.studio.making import MAKERS, Task, small_tasks
 from clmorph.studio.tabs import Result, Shown, Tab
 
 #: Seconds between two reports of progress.
@@ -124,14 +124,12 @@ def run(ask: Ask) -> None:
         warnings.simplefilter("always", ClmorphWarning)
         warnings.simplefilter("ignore", ConvergenceWarning)
         made = MAKERS[kind.name](_task(ask, options, operations), report)
-    choices = ask.choices
-    if getattr(options, "max_memory", 0) is None and any(
-        isinstance(each.message, MemoryWarning) for each in found
-    ):
+    gave_way = any(isinstance(each.message, MemoryWarning) for each in found)
+    if gave_way and getattr(options, "max_memory", 0) is None:
         # As on the command line: the recipe holds the limit that reduced the particles.
-        options = options.replace(max_memory=default_memory(operations))
-        choices = memory_given(options, ask.choices)
-    words = replace(ask, choices=choices).words(preset)
+        limit = {"max_memory": default_memory(operations)}
+        options = options.replace(**limit)
+        ask = replace(ask, choices=replace(ask.choices, given={**ask.choices.given, **limit}))
     result = Result(ask.number, made, _parameters(ask, options, operations), ask.choices)
     path = tab.folder / f"result-{ask.number}.{'html' if kind.film else 'png'}"
     write_file(result, path, report)
@@ -140,7 +138,7 @@ def run(ask: Ask) -> None:
         number=ask.number, url=tab.view(f"result-{ask.number}", path), film=kind.film,
         seconds=round(time.perf_counter() - began, 2), message=made.message,
         notes=[printable(str(each.message), MESSAGE) for each in found],
-        unmatched=made.unmatched, of=kind.name, **words,
+        unmatched=made.unmatched, of=kind.name, **ask.words(preset),
     )  # fmt: skip
     tab.publish("result", **tab.told)
 
@@ -155,7 +153,6 @@ def write_file(result: Result, path: Path, report: StageProgress) -> None:
 
 def write_still(result: Result, time: float, path: Path) -> None:
     """Write the frame of a finished film at a time, from 0 to the number of its parts."""
-    assert isinstance(result.made, Film)
     with atomic_path(path) as file:
         write_picture(result.made.still(time), {**result.parameters, "time": time}, file)
 

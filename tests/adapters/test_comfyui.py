@@ -224,6 +224,25 @@ def test_mixes(graph, torch):
     assert np.array_equal(found.numpy()[3], Pictures.several[0].numpy()[0])
 
 
+@pytest.mark.parametrize("name", ["Morph", "Mix"])
+def test_the_text_of_options_wins_over_a_nodes_own(graph, torch, name):
+    Pictures.images, Pictures.several = squares(torch), [squares(torch, shift=4)]
+    options = {"preset": "pixel-art", "options": f"{QUICK}\npreset = 'photo'\nsize = 6"}
+    given = FILM | options
+    if name == "Mix":
+        weights = dict.fromkeys(("weight_a", "weight_b", "weight_c", "weight_d"), 1.0)
+        given = {
+            "image_a": ("p", 0),
+            "image_b": ("p", 2),
+            "grid": 3,
+            **weights,
+            **COMMON,
+            **options,
+        }
+    ((found,), _) = asked(graph, name, given)
+    assert tuple(found.shape) == (3, 5, 6, 3)
+
+
 def test_rearranging(graph, torch, rng):
     Pictures.images, Pictures.several = batch(torch, rng, 1, 8, 8, 3), [squares(torch)]
     given = {

@@ -21,7 +21,7 @@ from skimage import data
 
 import clmorph
 from clmorph._shared.printable import percent, size_text, time_text
-from clmorph.analysis.figures import check_plotting, draw_inspection
+from clmorph.analysis.figures import check_plotting, draw_field, draw_inspection
 from clmorph.analysis.inspect import inspect
 from clmorph.analysis.inspection import Inspection
 from clmorph.analysis.timing import frame_seconds
@@ -192,11 +192,6 @@ class TestNasty:
         assert same.divergence.value == 0
         assert same.divergence.interval[0] == 0
         _is_json(same)
-
-    def test_all_transparent_is_an_error(self, images):
-        clear = np.zeros((4, 4, 4))
-        with pytest.raises(InputError, match="transparent"):
-            inspect(clear, images[1], backend="numpy")
 
     @pytest.mark.full
     def test_opacity_leaves_pixels_without_mass(self, images, device, tmp_path):
@@ -575,8 +570,6 @@ check_plotting()
     @pytest.mark.full
     def test_has_few_arrows_and_none_where_nothing_moves(self, device):
         from matplotlib.figure import Figure
-
-        from clmorph.analysis.drawing import draw_field
 
         clear = np.dstack((_picture((60, 80)), np.tile(np.arange(80) >= 40, (60, 1))))
         found = inspect(clear, _picture((20, 20), 1.0), backend=device, solve_size=None, **OPTIONS)

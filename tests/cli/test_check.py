@@ -158,21 +158,15 @@ def test_a_failed_check_ends_with_1_and_is_remembered(faked, capfd, asked):
 
 
 @pytest.mark.needs_device
-def test_trying_again_forgets_what_check_found(faked, capfd, asked):
-    index = TESTED[0].index
-    assert main(["check", "--device", index]) == 1
-    assert main(["devices", "--again"]) == 0
-    assert next(device for device in find_devices() if device.index == index).usable
-
-
-@pytest.mark.needs_device
-def test_auto_passes_over_what_check_found(faked, capfd):
+def test_auto_passes_over_what_check_found_until_devices_are_tried_again(faked, capfd, asked):
     first = choose_device("auto")
     assert main(["check", "--device", first.index]) == 1
     others = [device for device in find_devices() if device.usable]
     assert first.index not in [device.index for device in others]
     if others:
         assert choose_device("auto").index != first.index
+    assert main(["devices", "--again"]) == 0
+    assert next(device for device in find_devices() if device.index == first.index).usable
 
 
 def test_check_of_some_kernels(device):

@@ -12,7 +12,7 @@ from studio_pages import after, fetched, fill, previewed, run, same_by, take, un
 
 import clmorph
 from clmorph.frames.frame_renderer import FrameRenderer
-from clmorph.studio.making import Film
+from clmorph.studio.making import film_of
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +205,7 @@ def test_frames_are_drawn_once_for_all_files(tmp_path, rng, monkeypatch):
     )
     images = rng.random((2, 12, 12, 3))
     morph = clmorph.morph(*images, n_frames=4, preset="photo", backend="numpy")
-    film = Film([morph])
+    film = film_of([morph])
     for name in ("a.gif", "b.webp", "c.gif"):
         film.write(tmp_path / name, morph.parameters, lambda stage, share: None)
     assert len(drawn) == 4

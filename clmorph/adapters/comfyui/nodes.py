@@ -1,10 +1,13 @@
 """The nodes: Morph, Mix, Rearrange, Recolor, Load LUT and Apply LUT.
 
-A node is a class with the names that ComfyUI asks for: ``INPUT_TYPES``, ``RETURN_TYPES``,
-``FUNCTION``, ``CATEGORY`` and ``DESCRIPTION``.
+Their progress, interruption and files are ComfyUI's where it runs. Each is a class with the names
+for which ComfyUI asks: ``INPUT_TYPES``, ``RETURN_TYPES``, ``FUNCTION`` and so forth.
 """
 
-from typing import Any, ClassVar
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -12,7 +15,6 @@ from clmorph._shared.options import Options
 from clmorph._shared.printable import printable
 from clmorph._shared.typing import AnyArray
 from clmorph.adapters.comfyui import widgets
-from clmorph.adapters.comfyui.running import Running, input_path
 from clmorph.adapters.comfyui.tensors import (
     as_image_and_mask,
     as_images,
@@ -42,9 +44,60 @@ LUT = "CLMORPH_LUT"
 #: The names of the inputs for pictures of a mix.
 LETTERS = "abcd"
 Inputs = dict[str, widgets.Widget]
-#: Inputs of the nodes that recolor.
+Item = TypeVar("Item")
+#: Steps of the bar for each unit of work.
+STEPS = 100
+#: Inputs of several nodes, or several inputs of one.
 RECOLORED = widgets.image("The pictures to be recolored.")
 MASK = widgets.mask("1 where pictures are recolored; other pixels stay.")
+TRANSPARENT = widgets.mask("1 where the picture is transparent, as Load Image gives it.")
+
+
+def input_path(path: str) -> Path:
+    """Return a path, from ComfyUI's folder for inputs on if it is relative."""
+    folders = sys.modules.get("folder_paths")
+    return Path(path) if folders is None else Path(folders.get_input_directory()) / path
+
+
+class Running:
+    """The work of a node, in units: a solve is one, and so is a frame.
+
+    An object is a progress function of clmorph, for the solve that is under way. Each report
+    raises ComfyUI's exception if the user has asked to stop.
+    """
+
+    def __init__(self, units: int) -> None:
+        utils = sys.modules.get("comfy.utils")
+        self._bar = None if utils is None else utils.ProgressBar(units * STEPS)
+        self._total, self._done, self._shown = units * STEPS, 0, 0
+        self._stages: list[str] = []
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Show the share of a stage; later stages divide what is left of the unit."""
+        if stage not in self._stages:
+            self._stages.append(stage)
+        rest = 0.5 ** self._stages.index(stage)
+        self._show(self._done + int(STEPS * (1.0 - rest * (1.0 - 0.5 * share))))
+
+    def unit(self) -> None:
+        """Count one unit of work as done."""
+        self._stages.clear()
+        self._done += STEPS
+        self._show(self._done)
+
+    def each(self, items: Iterable[Item]) -> Iterator[Item]:
+        """Yield items, each of which is one unit of work."""
+        for item in items:
+            yield item
+            self.unit()
+
+    def _show(self, steps: int) -> None:
+        management = sys.modules.get("comfy.model_management")
+        if management is not None:
+            management.throw_exception_if_processing_interrupted()
+        if self._bar is not None and steps > self._shown:
+            self._shown = steps
+            self._bar.update_absolute(min(steps, self._total), self._total)
 
 
 class Node:
@@ -79,18 +132,42 @@ class NodeWithOptions(Node):
         return widgets.verdict(options, cls.OPTIONS)
 
 
-def _frames(found: FrameSequence, frames: int, time: float, running: Running) -> list[AnyArray]:
-    """Return all frames of a film, or the one at a time."""
-    wanted = [time] if frames == 1 else found.times.tolist()
-    return of_one_size(list(running.each(map(found.frame, wanted))), found.pixelated)
+class FilmNode(NodeWithOptions):
+    """A node that makes the film of each pair of pictures of two batches, or a frame of it."""
+
+    make: ClassVar[Callable[..., FrameSequence]]
+
+    def run(
+        self,
+        source: Any,
+        target: Any,
+        frames: int,
+        time: float,
+        size: int,
+        source_mask: Any = None,
+        target_mask: Any = None,
+        options: str = "",
+        device: str = "auto",
+        **given: Any,
+    ) -> tuple[Any, Any]:
+        """Return the frames of all films, one after the other."""
+        pairs = paired(
+            source=as_images("source", source, source_mask),
+            target=as_images("target", target, target_mask),
+        )
+        running = Running(len(pairs) * (1 + frames))
+        given |= {"n_frames": max(frames, 2), "size": size or None}
+        given |= widgets.more_options(options, self.OPTIONS)
+        operations, made = get_backend(device), list[AnyArray]()
+        for one, other in pairs:
+            found = self.make(one, other, backend=operations, progress=running, **given)
+            running.unit()
+            wanted = [time] if frames == 1 else found.times.tolist()
+            made += of_one_size(list(running.each(map(found.frame, wanted))), found.pixelated)
+        return as_image_and_mask(of_one_size(made), has_opacity(source, target))
 
 
-def _sized(size: int) -> dict[str, Any]:
-    """Return the option `size`, which is 0 in ComfyUI for pictures that are kept whole."""
-    return {"size": size or None}
-
-
-class Morph(NodeWithOptions):
+class Morph(FilmNode):
     """Morph each picture of a batch into the one of another batch."""
 
     DESCRIPTION = (
@@ -109,44 +186,15 @@ class Morph(NodeWithOptions):
         "size": widgets.SIZE,
     }
     OPTIONAL: ClassVar[Inputs] = {
-        **dict.fromkeys(
-            ("source_mask", "target_mask"),
-            widgets.mask("1 where the picture is transparent, as Load Image gives it."),
-        ),
+        "source_mask": TRANSPARENT,
+        "target_mask": TRANSPARENT,
         **NodeWithOptions.OPTIONAL,
     }
 
-    def run(
-        self,
-        source: Any,
-        target: Any,
-        frames: int,
-        time: float,
-        ease: Any,
-        preset: Any,
-        size: int,
-        source_mask: Any = None,
-        target_mask: Any = None,
-        options: str = "",
-        device: str = "auto",
-    ) -> tuple[Any, Any]:
-        """Return the frames of all morphs, one after the other."""
-        pairs = paired(
-            source=as_images("source", source, source_mask),
-            target=as_images("target", target, target_mask),
-        )
-        running = Running(len(pairs) * (1 + frames))
-        given = {"n_frames": max(frames, 2), "ease": ease} | _sized(size)
-        given |= widgets.more_options(options, self.OPTIONS)
-        operations, made = get_backend(device), []
-        for one, other in pairs:
-            found = morph(
-                one, other, preset=None if preset == AUTO else preset, backend=operations,
-                progress=running, **given,
-            )  # fmt: skip
-            running.unit()
-            made += _frames(found, frames, time, running)
-        return as_image_and_mask(of_one_size(made), has_opacity(source, target))
+    @staticmethod
+    def make(*pair: Any, preset: Any, **given: Any) -> FrameSequence:
+        """Return a morph."""
+        return morph(*pair, preset=None if preset == AUTO else preset, **given)
 
 
 class Mix(NodeWithOptions):
@@ -197,12 +245,13 @@ class Mix(NodeWithOptions):
         if grid == 1:
             raise InputError("grid=1: expected 0 for one mix by weights, or 2 and more")
         groups = paired(**batches)
+        more: dict[str, Any] = {"preset": None if preset == AUTO else preset, "size": size or None}
+        more |= widgets.more_options(options, self.OPTIONS)
         running, operations, made = Running(2 * len(groups)), get_backend(device), []
         for group in groups:
             found = mix(
-                list(group), None if grid else weights, grid=grid or None,
-                preset=None if preset == AUTO else preset, backend=operations, progress=running,
-                **_sized(size), **widgets.more_options(options, self.OPTIONS),
+                list(group), None if grid else weights, grid=grid or None, backend=operations,
+                progress=running, **more,
             )  # fmt: skip
             running.unit()
             made += of_one_size(found.drawn(), found.pixelated)
@@ -211,7 +260,7 @@ class Mix(NodeWithOptions):
         return as_image_and_mask(of_one_size(made), opacity)
 
 
-class Rearrange(NodeWithOptions):
+class Rearrange(FilmNode):
     """Move the pixels of a picture so that they form another one."""
 
     DESCRIPTION = (
@@ -220,6 +269,7 @@ class Rearrange(NodeWithOptions):
     )
 
     OPTIONS = RearrangeOptions
+    make = staticmethod(rearrange)
 
     REQUIRED: ClassVar[Inputs] = {
         "source": widgets.image("The pictures whose pixels are moved."),
@@ -229,29 +279,6 @@ class Rearrange(NodeWithOptions):
         "size": widgets.whole(256, *widgets.SIDES, widgets.SIZE[1]["tooltip"]),
         "color_weight": widgets.option(RearrangeOptions, "color_weight"),
     }
-
-    def run(
-        self,
-        source: Any,
-        target: Any,
-        frames: int,
-        time: float,
-        size: int,
-        color_weight: float,
-        options: str = "",
-        device: str = "auto",
-    ) -> tuple[Any, Any]:
-        """Return the frames of all films, one after the other."""
-        pairs = paired(source=as_images("source", source), target=as_images("target", target))
-        running = Running(len(pairs) * (1 + frames))
-        given = {"n_frames": max(frames, 2), "color_weight": color_weight} | _sized(size)
-        given |= widgets.more_options(options, self.OPTIONS)
-        operations, made = get_backend(device), []
-        for one, other in pairs:
-            found = rearrange(one, other, backend=operations, progress=running, **given)
-            running.unit()
-            made += _frames(found, frames, time, running)
-        return as_image_and_mask(of_one_size(made), has_opacity(source, target))
 
 
 class Recolor(NodeWithOptions):

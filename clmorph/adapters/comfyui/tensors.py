@@ -31,7 +31,11 @@ def as_images(name: str, tensor: Any, mask: Any = None) -> list[Array]:
     if mask is None:
         return images
     masks = as_masks(f"{name}_mask", mask, [image.shape[:2] for image in images])
-    return [_opaque_by(image, 1.0 - hidden) for image, hidden in zip(images, masks, strict=True)]
+    alphas = (image[..., 3] if image.shape[2] == 4 else 1.0 for image in images)
+    return [
+        np.dstack((image[..., :3], (1.0 - hidden) * alpha))
+        for image, hidden, alpha in zip(images, masks, alphas, strict=True)
+    ]
 
 
 def as_masks(name: str, tensor: Any, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
@@ -60,11 +64,6 @@ def _finite(name: str, tensor: Any) -> AnyArray:
     if not np.isfinite(array).all():
         raise InputError(f"{name} holds NaN or infinity: expected values in [0, 1]")
     return array
-
-
-def _opaque_by(image: Array, alpha: Array) -> Array:
-    whole = alpha * (image[..., 3] if image.shape[2] == 4 else 1.0)
-    return np.dstack((image[..., :3], whole))
 
 
 def paired(**images: Sequence[Array]) -> list[tuple[Array, ...]]:
