@@ -67,7 +67,8 @@ class Clip:
 
     def __init__(self, path: str | PathLike[str], max_pixels: int = MAX_PIXELS) -> None:
         self.path, self._max_pixels = Path(path), max_pixels
-        check_reader(self.path)
+        if find_spec("av") is None:
+            raise FileError(f'{path}: clips need the extra "video": pip install "clmorph[video]"')
         import av
         from av.video.reformatter import VideoReformatter
 
@@ -112,17 +113,9 @@ class Clip:
         if self._next is None:
             raise FileError(f"{self.path}: the film has no frames; expected at least one")
         frame, context = self._next.frame, stream.codec_context
-        self.tags = ColorTags(
-            *(
-                int(own) if int(own) not in UNKNOWN else int(of_stream)
-                for own, of_stream in (
-                    (frame.colorspace, context.colorspace),
-                    (frame.color_range, context.color_range),
-                    (frame.color_primaries, context.color_primaries),
-                    (frame.color_trc, context.color_trc),
-                )
-            )
-        )
+        names = "colorspace", "color_range", "color_primaries", "color_trc"
+        codes = ([int(getattr(each, name)) for each in (frame, context)] for name in names)
+        self.tags = ColorTags(*(other if own in UNKNOWN else own for own, other in codes))
         unreadable = self.tags.unreadable()
         if unreadable:
             raise FileError(
@@ -194,7 +187,10 @@ class Clip:
             for packet in self._container.demux([self._video, *self.sounds]):
                 if packet.stream is not self._video:
                     if packet.dts is not None:
-                        sounds.append(self._from_zero(packet))
+                        begin = round(self._zero / packet.time_base)
+                        packet.dts -= begin
+                        packet.pts = None if packet.pts is None else packet.pts - begin
+                        sounds.append(packet)
                     continue
                 for frame in packet.decode():
                     if frame.is_corrupt:
@@ -209,12 +205,6 @@ class Clip:
             self._check_end(last, count)
             if sounds:
                 yield _Decoded(None, last, sounds)
-
-    def _from_zero(self, packet: Any) -> Any:
-        begin = round(self._zero / packet.time_base)
-        packet.dts -= begin
-        packet.pts = None if packet.pts is None else packet.pts - begin
-        return packet
 
     def _time(self, frame: Any, last: Fraction, count: int) -> Fraction:
         """Return when a frame is shown: later than the last one, by the rate if none is given."""
@@ -308,9 +298,3 @@ def is_clip(path: Path) -> bool:
         return False
     stream = len(start) > 2 * _PACKET and {start[k * _PACKET] for k in range(3)} == {0x47}
     return stream or any(start.startswith(mark, place) for place, mark in _SIGNATURES)
-
-
-def check_reader(path: Path) -> None:
-    """Raise FileError if the library that reads clips is missing."""
-    if find_spec("av") is None:
-        raise FileError(f'{path}: clips need the extra "video": pip install "clmorph[video]"')

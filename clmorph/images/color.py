@@ -170,10 +170,6 @@ def square_root(metric: Array) -> Array:
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def _same(values: Array) -> Array:
-    return values
-
-
 def _to_oklab(colors: Array) -> Array:
     return np.asarray(np.cbrt(decode(colors) @ _TO_CONES.T) @ _TO_OPPONENTS.T)
 
@@ -217,7 +213,7 @@ def encode(light: Array) -> Array:
 
 #: Each space's conversion from sRGB and back, before the division by `_scale`.
 _CONVERSIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
-    "srgb": (_same, _same),
+    "srgb": (np.asarray, np.asarray),
     "linear": (decode, encode),
     "lab": (partial(_by_skimage, "rgb2lab"), _from_lab),
     "luv": (partial(_by_skimage, "rgb2luv"), partial(_by_skimage, "luv2rgb")),

@@ -74,15 +74,11 @@ class Motion:
             return self.rate
         return self.rate * max(1, math.ceil(SMOOTH / self.rate))
 
-    def order(self, n_frames: int) -> list[int]:
-        """Return the frames of one round."""
-        there = list(range(n_frames))
-        return there + there[-2:0:-1] if self.loop == "ping-pong" else there
-
     def played(self, holds: BoolArray) -> list[tuple[int, float]]:
         """Return the frames of one round and their seconds; `holds` (n,) marks the pictures."""
-        even = 1.0 / self.fps
-        return [(index, even + self.hold * holds[index]) for index in self.order(len(holds))]
+        even, order = 1.0 / self.fps, list(range(len(holds)))
+        order += order[-2:0:-1] if self.loop == "ping-pong" else []
+        return [(index, even + self.hold * holds[index]) for index in order]
 
 
 def motion_of(options: PlaybackOptions, holds: BoolArray) -> Motion:

@@ -34,8 +34,7 @@ def decode(file: Path, max_pixels: int) -> Decoded:
     with Reader(file) as stream:
         if stream.read(4) in tiff.SIGNATURES:
             return _decode_tiff(file, max_pixels)
-        picture = open_picture(file, stream, max_pixels)
-        with picture:
+        with open_picture(file, stream, max_pixels) as picture:
             return _decode_picture(file, picture)
 
 
@@ -85,7 +84,7 @@ def _is_animated(picture: Any) -> bool:
 
 def _split(picture: Any) -> tuple[Any, AnyArray | None]:
     """Return an image's colors (mode L, RGB, CMYK, LAB, or deep gray), and its opacity or None."""
-    tile = next(map(_raw_mode, _tiles_of(picture)), "")
+    tile = next(map(_raw_mode, getattr(picture, "tile", ())), "")
     picture.load()
     transparent = picture.info.get("transparency")
     if picture.mode in (*GRAY_16, "I"):
@@ -225,13 +224,8 @@ def _own_samples(picture: Any, file: Path) -> AnyArray | None:
         return None
     import imagecodecs
 
-    decode = {
-        "QOI": imagecodecs.qoi_decode,
-        "PNG": imagecodecs.png_decode,
-        "AVIF": imagecodecs.avif_decode,
-        "JPEG2000": imagecodecs.jpeg2k_decode,
-    }[picture.format]
-    samples: AnyArray = np.asarray(decode(data))
+    name = "jpeg2k" if picture.format == "JPEG2000" else picture.format.lower()
+    samples: AnyArray = np.asarray(getattr(imagecodecs, f"{name}_decode")(data))
     if samples.ndim == 4:  # an animation
         samples = samples[0]
     if samples.shape[:2] != picture.size[::-1] or samples.shape[2:] not in ((), (2,), (3,), (4,)):
@@ -296,11 +290,6 @@ _BITS = {
 }  # fmt: skip
 
 
-def _tiles_of(picture: Any) -> Any:
-    """Return the tiles of a file that Pillow has not decoded yet."""
-    return getattr(picture, "tile", ())
-
-
 def _raw_mode(tile: Any) -> str:
     """Return the raw mode of a tile, which describes the storage of the tile to the decoder."""
     args = tile[3][0] if isinstance(tile[3], tuple) and tile[3] else tile[3]
@@ -311,7 +300,7 @@ def _is_reduced(picture: Any) -> bool:
     """Return whether Pillow keeps only 8 bits of samples that have more."""
     if picture.mode in (*GRAY_16, "I", "F"):
         return False
-    for tile in _tiles_of(picture):
+    for tile in getattr(picture, "tile", ()):  # those that are not decoded yet
         most = tile[3][-1] if tile[0] == "ppm" else 0
         deep_png = picture.format == "PNG" and ";16" in _raw_mode(tile)
         if deep_png or tile[0] == "SGI16" or (isinstance(most, int) and most > 255):
