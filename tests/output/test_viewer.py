@@ -14,6 +14,7 @@ from plain import morph
 
 import clmorph
 from clmorph import InputError, OutputError, displacement_statistics
+from clmorph._shared.items import MadeItems
 from clmorph._shared.printable import printable
 from clmorph._shared.threads import MOST_THREADS
 from clmorph.frames.canvas import canvas_at
@@ -108,23 +109,12 @@ def test_a_page_has_at_most_the_bytes_it_may_have(rng):
         page(Scene(frames, np.arange(6.0)), max_bytes=2000)
 
 
-class ReadOnce:
-    """A sequence that records which items are read, and when."""
-
-    def __init__(self, frames, log):
-        self.frames, self.log = frames, log
-
-    def __len__(self):
-        return len(self.frames)
-
-    def __getitem__(self, index):
-        frame = self.frames[index]
-        self.log.append(("read", index))
-        return frame
-
-
 def test_frames_are_read_once_in_order_and_written_at_once(rng):
-    log = []
+    log, frames = [], random_frames(rng, 9)
+
+    def read(index):
+        log.append(("read", index))
+        return frames[index]
 
     class File(io.StringIO):
         def write(self, text):
@@ -134,7 +124,7 @@ def test_frames_are_read_once_in_order_and_written_at_once(rng):
             return super().write(text)
 
     file = File()
-    scene = Scene(ReadOnce(random_frames(rng, 9), log), np.arange(9.0))
+    scene = Scene(MadeItems(read, 9), np.arange(9.0))
     assert log == []
     write_page(scene, file)
     ahead = np.cumsum([1 if what == "read" else -1 for what, _ in log])

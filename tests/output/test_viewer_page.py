@@ -687,15 +687,6 @@ def test_a_notebook(rng, show):
 
 
 @pytest.mark.full
-def test_a_named_canvas_is_the_pictures_own(rng, show, tmp_path):
-    """Of the source as given, also where it is shown last."""
-    result = morph(rng.random((10, 12, 3)), rng.random((16, 14, 3)), 3)
-    result.save(tmp_path / "out.html", canvas="source", reverse=True)
-    opened = show((tmp_path / "out.html").read_text("ascii"))
-    assert pixels(opened).shape == (10, 12, 4)
-
-
-@pytest.mark.full
 def test_a_saved_chain_backwards(rng, show, tmp_path):
     """Times ascend from 0 while frames start at the last picture; a canvas may be requested."""
     images = rng.random((3, 8, 8, 3))
