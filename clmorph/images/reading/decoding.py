@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from clmorph._shared.typing import AnyArray
 from clmorph.images.reading import tiff
@@ -187,8 +188,6 @@ def _as_float(values: AnyArray) -> AnyArray:
 
 def _as_picture(colors: AnyArray) -> Any:
     """Return an array of samples as a Pillow image of 8 bits: L, RGB or CMYK."""
-    from PIL import Image
-
     if colors.dtype != np.uint8:
         colors = np.round(_as_float(colors) * 255).astype(np.uint8)
     mode = "L" if colors.ndim == 2 else {3: "RGB", 4: "CMYK"}[colors.shape[2]]
