@@ -108,11 +108,8 @@ def _write_frames(archive: zipfile.ZipFile, recording: Recording, report: Report
             _write_array(archive, f"frame_{index:0{digits}d}", recording.frames[index])
         return
     first = recording.frames[0]
-    header = {
-        "descr": np.lib.format.dtype_to_descr(first.dtype),
-        "fortran_order": False,
-        "shape": (len(recording), *first.shape),
-    }
+    descr, shape = np.lib.format.dtype_to_descr(first.dtype), (len(recording), *first.shape)
+    header = {"descr": descr, "fortran_order": False, "shape": shape}
     with archive.open(_entry("frames"), "w", force_zip64=True) as stream:
         np.lib.format.write_array_header_1_0(stream, header)
         for index in tracked(indices, report):

@@ -69,13 +69,7 @@ def check_sides(size: tuple[int, int], most: int, words: str) -> None:
 @contextmanager
 def encoding(words: str, *kinds: type[Exception]) -> Iterator[None]:
     """Raise OutputError for an encoder's errors, but let those of clmorph and of the disk pass."""
-    failures: tuple[type[Exception], ...] = (
-        RuntimeError,
-        ValueError,
-        OverflowError,
-        struct.error,
-        *kinds,
-    )
+    failures = (RuntimeError, ValueError, OverflowError, struct.error, *kinds)
     try:
         yield
     except (ClmorphError, OSError):

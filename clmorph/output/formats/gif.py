@@ -49,15 +49,13 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     head: dict[str, Any] = {"comment": as_text(recording.parameters).encode()}
     if recording.motion.loop != "once":
         head["loop"] = 0
+    # The frame before must not show through.
+    options: dict[str, Any] = {"transparency": COLORS, "disposal": 2} if framing.clear else {}
     before: Image | None = None
     # Pictures are written as they arrive; Pillow's own writer first keeps them all.
     with file.open("wb") as stream:
         for (_, units), picture in in_order(lambda each: in_palette(framing(each[0])), taken):
             box = changed(before, picture)
-            # The frame before must not show through.
-            options: dict[str, Any] = (
-                {"transparency": COLORS, "disposal": 2} if framing.clear else {}
-            )
             if framing.clear and before is not None:
                 box = box_of(np.asarray(picture) != COLORS)
             part = picture.crop(box)

@@ -53,11 +53,9 @@ def _keep_animated(file: Path, framing: Framing, duration: int, plays: int) -> N
         return
     size = b"".join((side - 1).to_bytes(3, "little") for side in framing.size)
     pixels = b"".join(_packed(*each) for each in chunks if each[0] in (b"ALPH", b"VP8 ", b"VP8L"))
+    flags = ANIMATED | HAS_EXIF | (HAS_ALPHA if framing.clear else 0)
     whole = [
-        (
-            b"VP8X",
-            bytes((ANIMATED | HAS_EXIF | (HAS_ALPHA if framing.clear else 0), 0, 0, 0)) + size,
-        ),
+        (b"VP8X", bytes((flags, 0, 0, 0)) + size),
         (b"ANIM", struct.pack("<IH", 0, plays)),
         (b"ANMF", bytes(6) + size + duration.to_bytes(3, "little") + b"\0" + pixels),
         *(each for each in chunks if each[0] == b"EXIF"),
