@@ -95,9 +95,8 @@ def into_gamut(coordinates: Array, space: str) -> Array:
 
 def _is_same(coordinates: Array, colors: Array, space: str) -> BoolArray:
     """Return whether colors in sRGB are those of the coordinates: (N,) array of bool."""
-    return np.asarray(
-        np.abs(to_space(colors, space) - coordinates).max(axis=1) <= _SAME_COLOR, bool
-    )
+    apart = np.abs(to_space(colors, space) - coordinates).max(axis=1)
+    return np.asarray(apart <= _SAME_COLOR, bool)
 
 
 def _gray(coordinates: Array, space: str) -> Array:

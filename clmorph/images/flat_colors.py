@@ -93,7 +93,7 @@ def _noise(found: BoolArray, contrast: Array) -> BoolArray:
     if not weak.any():
         return weak
     beside = maximum_filter(contrast >= STRONG, 2 * BLOCK + 1, mode="constant")
-    return np.asarray(weak & ~grey_opening(weak, WINDOW, mode="constant") & beside)
+    return np.asarray(weak & ~grey_opening(weak, (WINDOW, WINDOW), mode="constant") & beside)
 
 
 class Regions(NamedTuple):

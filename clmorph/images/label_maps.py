@@ -187,12 +187,8 @@ def _of_colors(file: Path, pixels: Any) -> IntArray:
 def read_npy(file: Path, max_pixels: int) -> Any:
     """Return the array of a ``.npy`` file of at most `max_pixels` rows times columns."""
     with file.open("rb") as stream:
-        version = np.lib.format.read_magic(stream)
-        read = (
-            np.lib.format.read_array_header_1_0
-            if version == (1, 0)
-            else np.lib.format.read_array_header_2_0
-        )
+        version = 1 if np.lib.format.read_magic(stream) == (1, 0) else 2
+        read = getattr(np.lib.format, f"read_array_header_{version}_0")
         shape, _, dtype = read(stream)
         if dtype.hasobject:
             raise ValueError("it holds Python objects, which are not read")

@@ -25,8 +25,8 @@ from clmorph.images.pixels import to_bytes
 from clmorph.output.formats.sheet import lengths
 from clmorph.output.formats.video import CONTAINERS
 from clmorph.output.framing import Framing
-from clmorph.output.options import FrameStyle
-from clmorph.output.playback import Motion, held_frames
+from clmorph.output.options import FrameStyle, PlaybackOptions
+from clmorph.output.playback import Motion, held_frames, motion_of
 from clmorph.output.provenance import read_parameters
 from clmorph.output.recording import Recording, Spool
 from clmorph.output.save import FORMATS, Output, save, write_all
@@ -214,10 +214,7 @@ LENGTHS = [
 @pytest.mark.parametrize("loop", ["loop", "ping-pong"])
 def test_videos_last_as_long_as_the_film(tmp_path, name, n_images, n_frames, pace, hold, loop):
     holds = held_frames(n_images, n_frames)
-    if "duration" in pace:
-        motion = Motion.lasting(pace["duration"], holds, hold, loop)
-    else:
-        motion = Motion(pace["fps"], hold, loop)
+    motion = motion_of(PlaybackOptions(**pace, hold=hold, loop=loop), holds)
     frames = [np.full((16, 16, 3), 9 * n, np.uint8) for n in range(len(holds))]
     times = np.linspace(0, n_images - 1, len(holds))
     film = film_of(frames, times, holds, motion)

@@ -8,8 +8,8 @@ import plain
 import pytest
 
 from clmorph import InputError
-from clmorph.output.options import Ease
-from clmorph.output.playback import Motion, eased, held_frames, whole_units
+from clmorph.output.options import Ease, PlaybackOptions
+from clmorph.output.playback import Motion, eased, held_frames, motion_of, whole_units
 
 EVEN = np.linspace(0, 1, 11)
 
@@ -57,7 +57,7 @@ def test_rounds():
 @pytest.mark.parametrize("n_images", [2, 3])
 def test_durations_that_were_asked_for(loop, n_images):
     holds = held_frames(n_images, 10)
-    motion = Motion.lasting(7.5, holds, 0.5, loop)
+    motion = motion_of(PlaybackOptions(duration=7.5, hold=0.5, loop=loop), holds)
     assert sum(seconds for _, seconds in motion.played(holds)) == pytest.approx(7.5)
 
 
@@ -70,7 +70,7 @@ def test_impossible_durations():
         (-1, "duration=-1"),
     ):
         with pytest.raises(InputError, match=words):
-            Motion.lasting(duration, holds, 0.65)
+            motion_of(PlaybackOptions(duration=duration, hold=0.65), holds)
 
 
 def test_rounding_does_not_add_up():

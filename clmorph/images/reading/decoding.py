@@ -21,6 +21,8 @@ from clmorph.images.reading.spaces import Description, described, from_space
 Decoded = tuple[AnyArray, list[str]]
 #: Modes of Pillow that hold 16 bits of gray.
 GRAY_16 = ("I;16", "I;16B", "I;16L", "I;16N")
+#: Pillow's formats that can hold an animation.
+_ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
 #: The markers with which the data of a JPEG 2000 picture begin, and the places of its size and of
 #: the first depth.
 _JPEG_2000, _SIZE, _DEPTH = b"\xff\x4f\xff\x51", 8, 42
@@ -67,20 +69,10 @@ def _decode_picture(file: Path, picture: Any) -> Decoded:
         inside = np.zeros(picture.size[::-1], np.uint8)
         inside[shown[1] : shown[3], shown[0] : shown[2]] = 255
         alpha = inside if alpha is None else np.minimum(alpha, inside)
-    if _is_animated(picture):
-        notes.append("several pictures: its first is taken")
+    with suppress(Exception):  # a damaged second picture, which is not needed
+        if kind in _ANIMATED and getattr(picture, "is_animated", False):
+            notes.append("several pictures: its first is taken")
     return _finished(colors, alpha, description, _orientation(picture.info), notes)
-
-
-#: Pillow's formats that can hold an animation.
-_ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
-
-
-def _is_animated(picture: Any) -> bool:
-    try:
-        return picture.format in _ANIMATED and bool(getattr(picture, "is_animated", False))
-    except Exception:  # a damaged second picture, which is not needed
-        return False
 
 
 def _split(picture: Any) -> tuple[Any, AnyArray | None]:
@@ -176,9 +168,8 @@ def _finished(
     if alpha is not None:
         if colors.dtype != alpha.dtype:
             colors, alpha = _as_float(colors), _as_float(alpha)
-        colors = np.dstack(
-            (np.broadcast_to(colors.reshape(*alpha.shape, -1), (*alpha.shape, 3)), alpha)
-        )
+        colors = np.broadcast_to(colors.reshape(*alpha.shape, -1), (*alpha.shape, 3))
+        colors = np.dstack((colors, alpha))
     return _turned(colors, turned), notes
 
 

@@ -115,11 +115,9 @@ def open_picture(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
             elif accepted:
                 return _opened(name, file, stream, max_pixels)
     kind = _unread_kind(start)
-    found = (
-        f"{file} is {kind}, which is not read" if kind else f"{file} is not an image that is read"
-    )
+    found = f"{kind}, which is not read" if kind else "not an image that is read"
     expected = fault or "expected a PNG, JPEG or similar"
-    raise FileError(f"{found}; {expected}; convert it to PNG")
+    raise FileError(f"{file} is {found}; {expected}; convert it to PNG")
 
 
 def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:
