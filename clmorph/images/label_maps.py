@@ -133,7 +133,13 @@ def read_labels(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
     except Exception as error:  # decoders raise exceptions of any class
         raise FileError(f"{file}: labels cannot be read ({reason_of(error)})") from None
     if samples.ndim == 3:
-        samples = _of_colors(file, samples)
+        if samples.shape[2] != 3 or samples.dtype != np.uint8:
+            raise FileError(
+                f"{file} holds an array of shape {samples.shape}: expected labels (H, W)"
+            )
+        red, green, blue = (samples[..., k].astype(np.int64) for k in range(3))
+        gray = (red == green) & (green == blue)
+        samples = np.where(gray, red, COLORED + (red << 16 | green << 8 | blue))
     if samples.ndim != 2 or not samples.size or samples.dtype.kind not in "iub":
         raise FileError(
             f"{file} holds {samples.dtype} of shape {samples.shape}: expected integers (H, W)"
@@ -173,15 +179,6 @@ def _samples(file: Path, max_pixels: int) -> Any:
         if picture.mode in _SCALAR:  # an index that no pixel has is transparent
             return np.asarray(picture)
         return pixels[..., :3]
-
-
-def _of_colors(file: Path, pixels: Any) -> IntArray:
-    """Return the label of each pixel of a picture in color."""
-    if pixels.shape[2] != 3 or pixels.dtype != np.uint8:
-        raise FileError(f"{file} holds an array of shape {pixels.shape}: expected labels (H, W)")
-    red, green, blue = (pixels[..., k].astype(np.int64) for k in range(3))
-    gray = (red == green) & (green == blue)
-    return np.where(gray, red, COLORED + (red << 16 | green << 8 | blue))
 
 
 def read_npy(file: Path, max_pixels: int) -> Any:

@@ -67,14 +67,13 @@ def check_sides(size: tuple[int, int], most: int, words: str) -> None:
 
 
 @contextmanager
-def encoding(words: str, *kinds: type[Exception]) -> Iterator[None]:
+def encoding(words: str, own: type[Exception] = RuntimeError) -> Iterator[None]:
     """Raise OutputError for an encoder's errors, but let those of clmorph and of the disk pass."""
-    failures = (RuntimeError, ValueError, OverflowError, struct.error, *kinds)
     try:
         yield
     except (ClmorphError, OSError):
         raise
-    except failures as error:
+    except (RuntimeError, ValueError, OverflowError, struct.error, own) as error:
         raise OutputError(
             f"the encoder of {words} failed ({reason_of(error)}): try another canvas, or "
             "another format"
