@@ -50,11 +50,8 @@ class Format:
 
     def matches(self, start: bytes) -> bool:
         """Return whether a file that starts with these bytes has this format; text in any case."""
-        text = start.lstrip().lower()
-        return any(
-            start.startswith(mark, offset) or text.startswith(mark, offset)
-            for offset, mark in self.signatures
-        )
+        starts = start, start.lstrip().lower()
+        return any(each.startswith(mark, at) for each in starts for at, mark in self.signatures)
 
 
 def check_sides(size: tuple[int, int], most: int, words: str) -> None:
