@@ -156,7 +156,8 @@ def read_labels(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
 def _samples(file: Path, max_pixels: int) -> Any:
     """Return the samples of a file as they stand there."""
     from clmorph.images.reading import tiff
-    from clmorph.images.reading.opening import Reader, open_picture
+    from clmorph.images.reading.boxes import Reader
+    from clmorph.images.reading.opening import open_picture
 
     if file.suffix.lower() == ".npy":
         return read_npy(file, max_pixels)

@@ -13,8 +13,8 @@ from PIL import Image
 
 from clmorph._shared.typing import AnyArray
 from clmorph.images.reading import tiff
-from clmorph.images.reading.boxes import boxes
-from clmorph.images.reading.opening import Reader, UnsupportedError, open_picture, xmp_orientation
+from clmorph.images.reading.boxes import Reader, boxes
+from clmorph.images.reading.opening import UnsupportedError, open_picture, xmp_orientation
 from clmorph.images.reading.profiles import is_srgb, to_srgb
 from clmorph.images.reading.spaces import Description, described, from_space
 
