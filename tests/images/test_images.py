@@ -24,13 +24,10 @@ def test_kinds_of_arrays(array):
     assert np.all(pixels == 1)
 
 
-def test_transparency_is_laid_on_white():
+def test_opacity_is_kept_where_there_is_some_or_laid_on_white():
     image = np.zeros((1, 2, 4), np.uint8)
     image[0, 1] = 0, 0, 0, 255
     assert as_rgb(image).tolist() == [[[1, 1, 1], [0, 0, 0]]]
-
-
-def test_opacity_is_kept_where_there_is_some():
     image = np.full((2, 3, 4), 0.5)
     assert np.array_equal(as_pixels(image), image)
     image[..., 3] = 1

@@ -46,13 +46,13 @@ def _write(
             clear=framing.clear,
         ) as movie,
     ):  # fmt: skip
-        number = 0
+        number, last = 0, sum(repeats for _, repeats in shown)
         for index, repeats in tracked(shown, report):
             # A frame that is held is written repeatedly.
             times = range(number, number + repeats)
             movie.write(np.asarray(framing(recording.picture(index))), times, "LANCZOS")
             number += repeats
-            if number == sum(repeats for _, repeats in shown):
+            if number == last:
                 # The encoder is flushed before the last report, because it still holds frames.
                 movie.finish()
 
