@@ -1,4 +1,4 @@
-"""Read a clip frame by frame, with its sound as it is stored, by the FFmpeg inside PyAV."""
+"""Read a clip frame by frame, with its sound as it is stored or as samples, by FFmpeg in PyAV."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from clmorph._shared.printable import reason_of
 from clmorph.clips.tags import FULL, LIMITED, UNKNOWN, ColorTags
+from clmorph.clips.writing import SOUND_RATE
 from clmorph.errors import FileError
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.images.reading.opening import check_size
@@ -28,6 +29,7 @@ USUAL_RATE, FASTEST = Fraction(25), Fraction(1000)
 MISSING, MISSING_FRAMES = 0.25, 3
 #: Degrees of a quarter of a turn.
 QUARTER = 90
+Samples = NDArray[np.float32]
 
 
 class Frame(NamedTuple):
@@ -67,7 +69,8 @@ class Clip:
 
     def __init__(self, path: str | PathLike[str], max_pixels: int = MAX_PIXELS) -> None:
         self.path, self._max_pixels = Path(path), max_pixels
-        check_reader(self.path)
+        if find_spec("av") is None:
+            raise FileError(f'{path}: clips need the extra "video": pip install "clmorph[video]"')
         import av
         from av.video.reformatter import VideoReformatter
 
@@ -112,17 +115,9 @@ class Clip:
         if self._next is None:
             raise FileError(f"{self.path}: the film has no frames; expected at least one")
         frame, context = self._next.frame, stream.codec_context
-        self.tags = ColorTags(
-            *(
-                int(own) if int(own) not in UNKNOWN else int(of_stream)
-                for own, of_stream in (
-                    (frame.colorspace, context.colorspace),
-                    (frame.color_range, context.color_range),
-                    (frame.color_primaries, context.color_primaries),
-                    (frame.color_trc, context.color_trc),
-                )
-            )
-        )
+        names = "colorspace", "color_range", "color_primaries", "color_trc"
+        codes = ([int(getattr(each, name)) for each in (frame, context)] for name in names)
+        self.tags = ColorTags(*(other if own in UNKNOWN else own for own, other in codes))
         unreadable = self.tags.unreadable()
         if unreadable:
             raise FileError(
@@ -194,7 +189,10 @@ class Clip:
             for packet in self._container.demux([self._video, *self.sounds]):
                 if packet.stream is not self._video:
                     if packet.dts is not None:
-                        sounds.append(self._from_zero(packet))
+                        begin = round(self._zero / packet.time_base)
+                        packet.dts -= begin
+                        packet.pts = None if packet.pts is None else packet.pts - begin
+                        sounds.append(packet)
                     continue
                 for frame in packet.decode():
                     if frame.is_corrupt:
@@ -209,12 +207,6 @@ class Clip:
             self._check_end(last, count)
             if sounds:
                 yield _Decoded(None, last, sounds)
-
-    def _from_zero(self, packet: Any) -> Any:
-        begin = round(self._zero / packet.time_base)
-        packet.dts -= begin
-        packet.pts = None if packet.pts is None else packet.pts - begin
-        return packet
 
     def _time(self, frame: Any, last: Fraction, count: int) -> Fraction:
         """Return when a frame is shown: later than the last one, by the rate if none is given."""
@@ -286,6 +278,73 @@ class Clip:
         return None if found is None else self._frame(*found)
 
 
+class SoundTrack:
+    """Stereo samples of a clip's first sound from its first frame on; `silent` if it has none."""
+
+    def __init__(self, path: Path) -> None:
+        import av
+
+        self._path, self._errors = path, av.error.FFmpegError
+        self._file = path.open("rb")
+        self._container: Any = av.open(
+            self._file, options={"format_whitelist": DEMUXERS}, metadata_errors="replace"
+        )
+        streams = self._container.streams
+        self.silent = not streams.audio
+        self._rest: Samples = np.zeros((2, 0), np.float32)
+        video = streams.video[0]
+        self._start = Fraction(video.start_time or 0) * Fraction(video.time_base or 1)
+        self._blocks = iter(()) if self.silent else self._decoded(av)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._container.close()
+        self._file.close()
+
+    def take(self, count: int) -> Samples:
+        """Return the next samples, (2, count); silence beyond the end."""
+        parts, known = [self._rest], self._rest.shape[1]
+        while known < count:
+            block = next(self._blocks, None)
+            if block is None:
+                block = np.zeros((2, count - known), np.float32)
+            parts.append(block)
+            known += block.shape[1]
+        whole = np.concatenate(parts, axis=1)
+        self._rest = whole[:, count:]
+        return whole[:, :count]
+
+    def _decoded(self, av: Any) -> Iterator[Samples]:
+        """Yield blocks of samples; gaps between them are silence."""
+        resampler = av.AudioResampler(format="fltp", layout="stereo", rate=SOUND_RATE)
+        place = 0
+        try:
+            for frame in self._container.decode(self._container.streams.audio[0]):
+                if frame.pts is None:
+                    begin = place
+                else:
+                    when = frame.pts * Fraction(frame.time_base) - self._start
+                    begin = round(when * SOUND_RATE)
+                for each in resampler.resample(frame):
+                    block = each.to_ndarray()
+                    # Rounded times of frames that follow one another are no gaps.
+                    if abs(begin - place) > SOUND_RATE // 50:
+                        if begin > place:
+                            yield np.zeros((2, begin - place), np.float32)
+                        block, begin = block[:, max(0, place - begin) :], max(place, begin)
+                        place = begin
+                    yield block
+                    place += block.shape[1]
+                    begin = place
+        except self._errors as error:
+            raise FileError(
+                f"{self._path}: its sound is damaged ({reason_of(error)}); get a whole copy, or "
+                "take the sound out"
+            ) from None
+
+
 #: The first bytes of clips and where they stand, and brands of pictures in the container of MP4.
 _SIGNATURES = (
     (4, b"ftyp"), (4, b"moov"), (4, b"mdat"), (0, b"\x1aE\xdf\xa3"), (8, b"AVI LIST"),
@@ -308,9 +367,3 @@ def is_clip(path: Path) -> bool:
         return False
     stream = len(start) > 2 * _PACKET and {start[k * _PACKET] for k in range(3)} == {0x47}
     return stream or any(start.startswith(mark, place) for place, mark in _SIGNATURES)
-
-
-def check_reader(path: Path) -> None:
-    """Raise FileError if the library that reads clips is missing."""
-    if find_spec("av") is None:
-        raise FileError(f'{path}: clips need the extra "video": pip install "clmorph[video]"')

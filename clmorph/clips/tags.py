@@ -60,8 +60,9 @@ class ColorTags(NamedTuple):
         """Return colors (..., 3) of the clip in sRGB; those that sRGB has not are clipped."""
         if self.is_srgb:
             return colors
-        light = self._light(colors) @ _between(self._primaries(), BT709).T
-        return np.clip(encode(light), 0.0, 1.0)
+        power = POWERS.get(self.transfer)
+        light = decode(colors) if power is None else np.asarray(colors) ** power
+        return np.clip(encode(light @ _between(self._primaries(), BT709).T), 0.0, 1.0)
 
     def from_srgb(self, colors: Array) -> Array:
         """Return colors (..., 3) of sRGB as the clip has them, the inverse of `to_srgb`."""
@@ -78,10 +79,6 @@ class ColorTags(NamedTuple):
 
     def _primaries(self) -> int:
         return BT709 if self.primaries in UNKNOWN else self.primaries
-
-    def _light(self, colors: Array) -> Array:
-        power = POWERS.get(self.transfer)
-        return decode(colors) if power is None else np.asarray(colors) ** power
 
 
 def _between(source: int, target: int) -> Array:

@@ -95,9 +95,8 @@ def into_gamut(coordinates: Array, space: str) -> Array:
 
 def _is_same(coordinates: Array, colors: Array, space: str) -> BoolArray:
     """Return whether colors in sRGB are those of the coordinates: (N,) array of bool."""
-    return np.asarray(
-        np.abs(to_space(colors, space) - coordinates).max(axis=1) <= _SAME_COLOR, bool
-    )
+    apart = np.abs(to_space(colors, space) - coordinates).max(axis=1)
+    return np.asarray(apart <= _SAME_COLOR, bool)
 
 
 def _gray(coordinates: Array, space: str) -> Array:
@@ -170,10 +169,6 @@ def square_root(metric: Array) -> Array:
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def _same(values: Array) -> Array:
-    return values
-
-
 def _to_oklab(colors: Array) -> Array:
     return np.asarray(np.cbrt(decode(colors) @ _TO_CONES.T) @ _TO_OPPONENTS.T)
 
@@ -217,7 +212,7 @@ def encode(light: Array) -> Array:
 
 #: Each space's conversion from sRGB and back, before the division by `_scale`.
 _CONVERSIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
-    "srgb": (_same, _same),
+    "srgb": (np.asarray, np.asarray),
     "linear": (decode, encode),
     "lab": (partial(_by_skimage, "rgb2lab"), _from_lab),
     "luv": (partial(_by_skimage, "rgb2luv"), partial(_by_skimage, "luv2rgb")),

@@ -87,18 +87,13 @@ def shares_in_mixtures(colors: Array, background: Array, which: BoolArray) -> Ar
 
 def _noise(found: BoolArray, contrast: Array) -> BoolArray:
     """Return which pixels are what compression leaves beside something strong: thin and weak."""
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    def least(image: BoolArray, side: int) -> BoolArray:
-        return np.asarray(minimum_filter(image, side, mode="constant", cval=0))
-
-    def most(image: BoolArray, side: int) -> BoolArray:
-        return np.asarray(maximum_filter(image, side, mode="constant", cval=0))
+    from scipy.ndimage import grey_opening, maximum_filter
 
     weak = found & (contrast < WEAK)
     if not weak.any():
         return weak
-    return weak & ~most(least(weak, WINDOW), WINDOW) & most(contrast >= STRONG, 2 * BLOCK + 1)
+    beside = maximum_filter(contrast >= STRONG, 2 * BLOCK + 1, mode="constant")
+    return np.asarray(weak & ~grey_opening(weak, (WINDOW, WINDOW), mode="constant") & beside)
 
 
 class Regions(NamedTuple):

@@ -133,7 +133,13 @@ def read_labels(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
     except Exception as error:  # decoders raise exceptions of any class
         raise FileError(f"{file}: labels cannot be read ({reason_of(error)})") from None
     if samples.ndim == 3:
-        samples = _of_colors(file, samples)
+        if samples.shape[2] != 3 or samples.dtype != np.uint8:
+            raise FileError(
+                f"{file} holds an array of shape {samples.shape}: expected labels (H, W)"
+            )
+        red, green, blue = (samples[..., k].astype(np.int64) for k in range(3))
+        gray = (red == green) & (green == blue)
+        samples = np.where(gray, red, COLORED + (red << 16 | green << 8 | blue))
     if samples.ndim != 2 or not samples.size or samples.dtype.kind not in "iub":
         raise FileError(
             f"{file} holds {samples.dtype} of shape {samples.shape}: expected integers (H, W)"
@@ -150,7 +156,8 @@ def read_labels(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
 def _samples(file: Path, max_pixels: int) -> Any:
     """Return the samples of a file as they stand there."""
     from clmorph.images.reading import tiff
-    from clmorph.images.reading.opening import Reader, open_picture
+    from clmorph.images.reading.boxes import Reader
+    from clmorph.images.reading.opening import open_picture
 
     if file.suffix.lower() == ".npy":
         return read_npy(file, max_pixels)
@@ -175,24 +182,11 @@ def _samples(file: Path, max_pixels: int) -> Any:
         return pixels[..., :3]
 
 
-def _of_colors(file: Path, pixels: Any) -> IntArray:
-    """Return the label of each pixel of a picture in color."""
-    if pixels.shape[2] != 3 or pixels.dtype != np.uint8:
-        raise FileError(f"{file} holds an array of shape {pixels.shape}: expected labels (H, W)")
-    red, green, blue = (pixels[..., k].astype(np.int64) for k in range(3))
-    gray = (red == green) & (green == blue)
-    return np.where(gray, red, COLORED + (red << 16 | green << 8 | blue))
-
-
 def read_npy(file: Path, max_pixels: int) -> Any:
     """Return the array of a ``.npy`` file of at most `max_pixels` rows times columns."""
     with file.open("rb") as stream:
-        version = np.lib.format.read_magic(stream)
-        read = (
-            np.lib.format.read_array_header_1_0
-            if version == (1, 0)
-            else np.lib.format.read_array_header_2_0
-        )
+        version = 1 if np.lib.format.read_magic(stream) == (1, 0) else 2
+        read = getattr(np.lib.format, f"read_array_header_{version}_0")
         shape, _, dtype = read(stream)
         if dtype.hasobject:
             raise ValueError("it holds Python objects, which are not read")

@@ -157,8 +157,8 @@ def _from_text(text: str) -> Lut:
         word, *rest = line.split()
         if word[0] in "+-.0123456789" or word.lower() in ("nan", "inf", "infinity"):
             break
+        rows += 1
         if word == "TITLE":
-            rows += 1
             continue
         if word.startswith("LUT_1D"):
             raise ValueError(f"line {number}: {word} belongs to a table in one dimension")
@@ -176,7 +176,6 @@ def _from_text(text: str) -> Lut:
             low = values
         else:
             high = values
-        rows += 1
     if not size:
         raise ValueError("LUT_3D_SIZE is missing in it")
     if len(lines) - rows != size**3:

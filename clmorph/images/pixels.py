@@ -158,9 +158,8 @@ def fit(image: ArrayLike, size: int) -> Array:
     block = block_size(samples)
     if longer // block <= size:
         zoom = size // (longer // block)
-        return np.asarray(
-            np.kron(as_unit(samples[::block, ::block]), np.ones((zoom, zoom, 1))), float
-        )
+        blocks = as_unit(samples[::block, ::block])
+        return np.asarray(np.kron(blocks, np.ones((zoom, zoom, 1))), float)
     shape = reduced_shape((height, width), size)
     if samples.shape[2] == 3:
         return np.clip(resized(samples, shape, "mirror"), 0, 1)

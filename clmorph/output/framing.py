@@ -2,16 +2,14 @@
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageColor
 
 from clmorph._shared.typing import AnyArray
 from clmorph.output.options import FrameStyle
-
-if TYPE_CHECKING:
-    from PIL.Image import Image, Resampling
 
 #: The enlargement from which frames look soft.
 ENLARGED = 1.25
@@ -87,17 +85,13 @@ class Framing:
     @property
     def ground(self) -> tuple[int, ...] | None:
         """Color of bars and behind transparent pixels, as RGB; None if these stay transparent."""
-        from PIL import ImageColor
-
         if self.clear:
             return None
         color = ImageColor.getcolor(self._background, "RGB")
         return color if isinstance(color, tuple) else (color,) * 3
 
-    def __call__(self, frame: NDArray[np.uint8]) -> "Image":
+    def __call__(self, frame: NDArray[np.uint8]) -> Image.Image:
         """Return a frame (H, W, 3 or 4) centered on the canvas; pixel art by whole factors."""
-        from PIL import Image
-
         picture = self._grounded(self._scaled(Image.fromarray(frame)))
         if picture.size == self.size:
             return picture
@@ -111,15 +105,11 @@ class Framing:
         page.paste(picture, (margins[0] // 2, margins[1] // 2))
         return page
 
-    def unscaled(self, frame: NDArray[np.uint8]) -> "Image":
+    def unscaled(self, frame: NDArray[np.uint8]) -> Image.Image:
         """Return a frame at its own size, with opacity or on the background like the others."""
-        from PIL import Image
-
         return self._grounded(Image.fromarray(frame))
 
-    def _grounded(self, picture: "Image") -> "Image":
-        from PIL import Image
-
+    def _grounded(self, picture: Image.Image) -> Image.Image:
         if self.clear:
             return picture.convert("RGBA")
         if picture.mode == "RGB":
@@ -128,9 +118,7 @@ class Framing:
         page.paste(picture, mask=picture)
         return page
 
-    def _scaled(self, picture: "Image") -> "Image":
-        from PIL import Image
-
+    def _scaled(self, picture: Image.Image) -> Image.Image:
         factor = min(whole / part for whole, part in zip(self._inner, picture.size, strict=True))
         if self.nearest and factor > 1:
             factor = math.floor(factor)
@@ -146,10 +134,8 @@ class Framing:
         )
 
 
-def _resampled(picture: "Image", size: tuple[int, int], how: "Resampling") -> "Image":
+def _resampled(picture: Image.Image, size: tuple[int, int], how: Image.Resampling) -> Image.Image:
     """Return an RGBA picture at another size, with colors weighted by opacity."""
-    from PIL import Image
-
     pixels = np.asarray(picture, np.float32)
     weighted = [pixels[..., channel] * pixels[..., 3] for channel in range(3)]
     *weighted, alpha = (

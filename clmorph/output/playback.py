@@ -7,7 +7,6 @@ from fractions import Fraction
 import numpy as np
 
 from clmorph._shared.typing import Array, BoolArray
-from clmorph._shared.validation import check_number
 from clmorph.errors import InputError
 from clmorph.output.options import FPS, Ease, Loop, PlaybackOptions
 
@@ -40,28 +39,6 @@ class Motion:
         for name in ("fps", "hold", "loop"):
             object.__setattr__(self, name, PlaybackOptions.checked(name, getattr(self, name)))
 
-    @classmethod
-    def lasting(
-        cls, duration: float, holds: BoolArray, hold: float = PlaybackOptions.hold,
-        loop: Loop = PlaybackOptions.loop,
-    ) -> "Motion":  # fmt: skip
-        """Return the motion whose one round takes `duration` seconds, with the holds at `holds`."""
-        check_number("duration", duration, 0.0, 1e6, open_low=True)
-        trial = cls(1.0, hold, loop).played(holds)
-        held = sum(seconds - 1.0 for _, seconds in trial)
-        if duration <= held:
-            raise InputError(
-                f"duration={duration:g} is no longer than the holds at the pictures, "
-                f"{held:g} s: raise it, or lower hold"
-            )
-        fps = len(trial) / (duration - held)
-        if not 0.1 <= fps <= 240.0:
-            raise InputError(
-                f"duration={duration:g} means {fps:.3g} frames a second: expected 0.1 to 240; "
-                "change it, or the number of frames"
-            )
-        return cls(fps, hold, loop)
-
     @property
     def rate(self) -> Fraction:
         """Frames per second as a fraction, as files store them."""
@@ -74,22 +51,32 @@ class Motion:
             return self.rate
         return self.rate * max(1, math.ceil(SMOOTH / self.rate))
 
-    def order(self, n_frames: int) -> list[int]:
-        """Return the frames of one round."""
-        there = list(range(n_frames))
-        return there + there[-2:0:-1] if self.loop == "ping-pong" else there
-
     def played(self, holds: BoolArray) -> list[tuple[int, float]]:
         """Return the frames of one round and their seconds; `holds` (n,) marks the pictures."""
-        even = 1.0 / self.fps
-        return [(index, even + self.hold * holds[index]) for index in self.order(len(holds))]
+        even, order = 1.0 / self.fps, list(range(len(holds)))
+        order += order[-2:0:-1] if self.loop == "ping-pong" else []
+        return [(index, even + self.hold * holds[index]) for index in order]
 
 
 def motion_of(options: PlaybackOptions, holds: BoolArray) -> Motion:
     """Return the motion that options ask for; `holds` (n,) marks the frames that are pictures."""
-    if options.duration is not None:
-        return Motion.lasting(options.duration, holds, options.hold, options.loop)
-    return Motion(FPS if options.fps is None else options.fps, options.hold, options.loop)
+    duration, hold, loop = options.duration, options.hold, options.loop
+    if duration is None:
+        return Motion(FPS if options.fps is None else options.fps, hold, loop)
+    trial = Motion(1.0, hold, loop).played(holds)
+    held = sum(seconds - 1.0 for _, seconds in trial)
+    if duration <= held:
+        raise InputError(
+            f"duration={duration:g} is no longer than the holds at the pictures, "
+            f"{held:g} s: raise it, or lower hold"
+        )
+    fps = len(trial) / (duration - held)
+    if not 0.1 <= fps <= 240.0:
+        raise InputError(
+            f"duration={duration:g} means {fps:.3g} frames a second: expected 0.1 to 240; "
+            "change it, or the number of frames"
+        )
+    return Motion(fps, hold, loop)
 
 
 def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:

@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, Protocol, Self
+from typing import IO, TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,11 @@ from clmorph._shared.typing import AnyArray, Array, BoolArray
 from clmorph.errors import OutputError
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
-from clmorph.output.framing import Framing, in_time
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion
+
+if TYPE_CHECKING:
+    from clmorph.output.framing import Framing
 
 #: The largest number of bytes of frames in memory; beyond it they go to a temporary file.
 IN_MEMORY = 128 * 1024**2
@@ -67,8 +69,10 @@ class Recording:
 
     def framing(
         self, style: FrameStyle, side: int = 1, *, even: bool = False, opacity: bool = True
-    ) -> Framing:
+    ) -> "Framing":
         """Return the `Framing` that fits the frames to one size; see there for the arguments."""
+        from clmorph.output.framing import Framing, in_time
+
         shapes = in_time(self.shapes, self.times)
         return Framing(style, shapes, self.pixelated, side, even, opacity)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.files import atomic_paths
-from clmorph.clips.sound import SoundTrack
+from clmorph.clips.reading import SoundTrack
 from clmorph.clips.writing import CONTAINERS, SOUND_RATE, ClipWriter, even
 from clmorph.errors import OutputError
 from clmorph.images.pixels import to_bytes

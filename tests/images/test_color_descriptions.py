@@ -66,7 +66,7 @@ def test_ten_bits_of_pq(read):
 
 
 def test_codes_overrule_gamma_and_profiles(read):
-    profile, _ = matrix_profile(P3_PRIMARIES, 1.0, "Wide")
+    profile, _ = matrix_profile(P3_PRIMARIES, 1.0)
     others = (
         (b"gAMA", struct.pack(">I", 100000)), (b"sRGB", b"\0"),
         (b"iCCP", b"Wide\0\0" + zlib.compress(profile)),
@@ -88,7 +88,7 @@ def chromaticities(primaries):
 
 
 def test_primaries_of_pngs(read, rng):
-    _, columns = matrix_profile(P3_PRIMARIES, 2.2, "")
+    _, columns = matrix_profile(P3_PRIMARIES, 2.2)
     array = rng.integers(40, 256, (8, 8, 3), np.uint8)
     gamma = (b"gAMA", struct.pack(">I", 100000))
     wide = chromaticities(P3_PRIMARIES)
@@ -116,9 +116,9 @@ def bitmap(array, kind, profile=b"", ends=(0,) * 9, gammas=(0,) * 3):
 
 
 def test_spaces_of_bitmaps(read, rng):
-    profile, columns = matrix_profile(P3_PRIMARIES, 2.2, "Wide")
+    profile, columns = matrix_profile(P3_PRIMARIES, 2.2)
     array = rng.integers(40, 256, (8, 8, 3), np.uint8)
-    want = converted(array / 255, columns, 2.19921875)
+    want = converted(array / 255, columns, 2.2)
     assert np.abs(read(bitmap(array, b"MBED", profile)) - want).max() < 0.02
     ends = [(x / y, 1, (1 - x - y) / y) for x, y in ((0.3127, 0.329), *P3_PRIMARIES)]
     mixed = np.linalg.solve(np.array(ends[1:]).T, ends[0])
@@ -135,7 +135,7 @@ def test_spaces_of_bitmaps(read, rng):
 
 
 def test_profiles_of_jpeg_2000(tmp_path, read, rng):
-    profile, columns = matrix_profile(P3_PRIMARIES, 2.2, "Wide")
+    profile, columns = matrix_profile(P3_PRIMARIES, 2.2)
     array = rng.integers(40, 256, (16, 16, 3), np.uint8)
     Image.fromarray(array).save(tmp_path / "a.jp2")
     data = (tmp_path / "a.jp2").read_bytes()
@@ -146,7 +146,7 @@ def test_profiles_of_jpeg_2000(tmp_path, read, rng):
     size = int.from_bytes(data[header : header + 4], "big") + len(box) - old
     data = data[:place] + box + data[place + old :]
     data = data[:header] + struct.pack(">I", size) + data[header + 4 :]
-    want = converted(array / 255, columns, 2.19921875)
+    want = converted(array / 255, columns, 2.2)
     assert np.abs(read(data) - want).max() < 0.02
 
 

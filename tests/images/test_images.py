@@ -24,13 +24,10 @@ def test_kinds_of_arrays(array):
     assert np.all(pixels == 1)
 
 
-def test_transparency_is_laid_on_white():
+def test_opacity_is_kept_where_there_is_some_or_laid_on_white():
     image = np.zeros((1, 2, 4), np.uint8)
     image[0, 1] = 0, 0, 0, 255
     assert as_rgb(image).tolist() == [[[1, 1, 1], [0, 0, 0]]]
-
-
-def test_opacity_is_kept_where_there_is_some():
     image = np.full((2, 3, 4), 0.5)
     assert np.array_equal(as_pixels(image), image)
     image[..., 3] = 1
@@ -51,22 +48,16 @@ def test_reducing_does_not_show_what_is_transparent():
     assert small[..., 3].mean() == pytest.approx(inside.mean(), abs=0.02)
 
 
-def test_fit_keeps_the_aspect_and_smooths():
+def test_fit_keeps_the_aspect_and_smooths(rng):
     stripes = np.zeros((100, 200, 3))
     stripes[:, ::2] = 1
     small = fit(stripes, 20)
     assert small.shape == (10, 20, 3)
     # Nearest or plain bilinear sampling would give black or white stripes.
     assert np.abs(small - 0.5).max() < 0.05
-
-
-def test_fit_leaves_small_images_alone():
-    image = np.random.default_rng(0).random((7, 9, 3))
+    assert fit(np.zeros((1, 500, 3)), 20).shape == (1, 20, 3)  # a thin image keeps a row
+    image = rng.random((7, 9, 3))
     assert np.array_equal(fit(image, 9), image)
-
-
-def test_a_thin_image_keeps_a_row():
-    assert fit(np.zeros((1, 500, 3)), 20).shape == (1, 20, 3)
 
 
 def test_large_files_are_refused_before_they_are_decoded(tmp_path, monkeypatch):

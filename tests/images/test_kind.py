@@ -175,13 +175,10 @@ def test_what_an_outline_parts_from_the_ground_is_no_edge(side):
     assert foreground(image)[skin].all()
 
 
-class TestRegions:
-    def test_palette(self, rng):
-        colors = np.repeat(
-            [[0.9, 0.1, 0.1], [0.1, 0.1, 0.9], [0.92, 0.1, 0.1]], [50, 30, 5], axis=0
-        )
-        labels, each = palette(colors, 6)
-        assert set(labels) == {0, 1}
-        assert labels[0] == labels[-1]  # alike colors are one
-        assert np.abs(each - colors).max() < 0.03
-        assert palette(rng.random((500, 3)), 4)[0].max() <= 3
+def test_palette(rng):
+    colors = np.repeat([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9], [0.92, 0.1, 0.1]], [50, 30, 5], axis=0)
+    labels, each = palette(colors, 6)
+    assert set(labels) == {0, 1}
+    assert labels[0] == labels[-1]  # alike colors are one
+    assert np.abs(each - colors).max() < 0.03
+    assert palette(rng.random((500, 3)), 4)[0].max() <= 3

@@ -687,19 +687,3 @@ def test_an_output_that_is_a_full_folder_is_refused_before_any_work(monkeypatch)
     assert names("frames") == ["mine"]
     with pytest.raises(InputError):
         files.check_apart(["frames"], ["frames/mine"])
-
-
-def test_two_runs_at_the_same_moment_do_not_mix(monkeypatch):
-    """Both have found the folder empty."""
-    Path("frames").mkdir()
-    monkeypatch.setattr(files, "is_empty", lambda folder: True)
-    with ExitStack() as stack:
-        path = stack.enter_context(atomic_path("frames"))
-        path.mkdir()
-        for name in ("0.png", "1.png"):
-            (path / name).write_text("mine")
-        Path("frames/1.png").write_text("theirs")
-        with pytest.raises(OutputError, match="exists"):
-            stack.close()
-    assert names("frames") == ["1.png"]
-    assert Path("frames/1.png").read_text() == "theirs"

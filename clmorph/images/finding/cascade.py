@@ -30,16 +30,10 @@ POINTS = np.array([[0.28, 0.36], [0.72, 0.36], [0.5, 0.58], [0.32, 0.82], [0.68,
 
 def cascade_faces(copy: Copy) -> list[Array]:
     """Return points of each face's box, the largest first: (5, 2) arrays in pixels of the copy."""
-    kept: list[list[Array]] = []
-    for number, found in enumerate(_passes(copy.pixels)):
-        if number == 0:
-            kept = [[box] for box in found]
-        else:
-            kept = [
-                [*boxes, near] for boxes in kept if (near := _nearest(boxes[0], found)) is not None
-            ]
-        if not kept:
-            return []
+    passes = _passes(copy.pixels)
+    kept = [[box] for box in next(passes)]
+    while kept and (found := next(passes, None)) is not None:
+        kept = [[*each, near] for each in kept if (near := _nearest(each[0], found)) is not None]
     boxes: list[Array] = []
     for box in sorted((np.median(each, axis=0) for each in kept), key=lambda box: -box[2]):
         patch = _patch(copy.pixels.mean(axis=2), box)

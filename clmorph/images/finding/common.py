@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from clmorph._shared.typing import Array, BoolArray
 from clmorph.errors import InputError
 from clmorph.images.finding.cascade import cascade_faces
-from clmorph.images.finding.matches import Features, features, matches
+from clmorph.images.finding.matches import features, matches
 from clmorph.images.finding.mesh import mesh_faces, mesh_missing, person
 from clmorph.images.finding.reduced import small_copy
 
@@ -39,10 +40,9 @@ class Finder:
     """Finds what images (H, W, 3 or 4) have in common; what is known of one is kept."""
 
     def __init__(self, images: Sequence[Array]) -> None:
-        self._images = images
-        self._missing = mesh_missing()
-        self._faces: dict[int, list[Array]] = {}
-        self._features: dict[int, Features] = {}
+        self._images, self._missing = images, mesh_missing()
+        self._faces_of = cache(partial(_faces, images, not self._missing))
+        self._features_of = cache(lambda of: features(small_copy(images[of], SEARCHED)))
 
     def common(self, one: int, other: int) -> Found:
         """Find points that correspond in two images: of faces, or else of things in both."""
@@ -65,18 +65,11 @@ class Finder:
             return NOTHING
         return Found(*places, f"the same thing in both pictures: {len(places[0])} points")
 
-    def _faces_of(self, number: int) -> list[Array]:
-        """Return points of the faces of an image, in its pixels; the largest face comes first."""
-        if number not in self._faces:
-            copy = small_copy(self._images[number], SEARCHED if self._missing else MESHED)
-            found = cascade_faces(copy) if self._missing else mesh_faces(copy)
-            self._faces[number] = [copy.whole(face) for face in found]
-        return self._faces[number]
 
-    def _features_of(self, number: int) -> Features:
-        if number not in self._features:
-            self._features[number] = features(small_copy(self._images[number], SEARCHED))
-        return self._features[number]
+def _faces(images: Sequence[Array], meshed: bool, number: int) -> list[Array]:
+    """Return points of the faces of an image, in its pixels; the largest face comes first."""
+    copy = small_copy(images[number], MESHED if meshed else SEARCHED)
+    return [copy.whole(face) for face in (mesh_faces if meshed else cascade_faces)(copy)]
 
 
 def figures(images: Sequence[Array]) -> list[BoolArray] | None:

@@ -6,6 +6,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -69,14 +70,8 @@ def mesh_faces(copy: Copy, numbers: tuple[int, ...] = MESH) -> list[Array]:
     found: list[Array] = []
     with _solutions() as models, ExitStack() as opened:
         # For faces far away, and for near ones.
-        detectors = [
-            opened.enter_context(
-                models.face_detection.FaceDetection(
-                    min_detection_confidence=0.5, model_selection=kind
-                )
-            )
-            for kind in (1, 0)
-        ]
+        detector = partial(models.face_detection.FaceDetection, min_detection_confidence=0.5)
+        detectors = [opened.enter_context(detector(model_selection=kind)) for kind in (1, 0)]
         boxes = _boxes(copy.pixels, detectors)
         if not boxes:
             margin = int(MARGIN * max(copy.pixels.shape[:2]))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from clmorph._shared.typing import AnyArray, Array
+from clmorph.images.pixels import reduced_shape
 from clmorph.images.resizing import as_unit
 
 Bytes = NDArray[np.uint8]
@@ -34,14 +35,12 @@ class Copy(NamedTuple):
 
 def small_copy(image: AnyArray, most: int) -> Copy:
     """Return a copy of at most `most` pixels along the longer side; clear parts become gray."""
-    shape = image.shape[:2]
+    shape = image.shape[0], image.shape[1]
     # Of large pictures every k-th pixel is enough: two to three times as many are left.
     step = max(1, max(shape) // (2 * most))
     pixels = as_unit(image[step // 2 :: step, step // 2 :: step] if min(shape) > step else image)
     if pixels.shape[2] == 4:
         pixels = UNDER + (pixels[..., :3] - UNDER) * pixels[..., 3:]
     found = Image.fromarray((255 * np.clip(pixels, 0, 1) + 0.5).astype(np.uint8))
-    scale = min(1.0, most / max(shape))
-    size = tuple(max(1, round(side * scale)) for side in shape[::-1])
-    small = found.resize((size[0], size[1]), Image.Resampling.LANCZOS)
-    return Copy(np.ascontiguousarray(small), (shape[0], shape[1]))
+    small = found.resize(reduced_shape(shape, most)[::-1], Image.Resampling.LANCZOS)
+    return Copy(np.ascontiguousarray(small), shape)

@@ -1,10 +1,26 @@
-"""The boxes of JPEG 2000 and AVIF files, and the chunks of PNG files, without their pictures."""
+"""Bytes of files within their length: boxes of JPEG 2000 and AVIF, chunks of PNG, no pictures."""
 
+import io
 from collections.abc import Iterator
+from pathlib import Path
 from typing import IO
 
 #: Boxes that hold boxes, with the number of bytes before the first of them.
 _HOLDERS = {b"jp2h": 0, b"meta": 4, b"iprp": 0, b"ipco": 0}
+
+
+class Reader(io.BufferedReader):
+    """A file whose reads are limited to its length, as decoders trust sizes in damaged headers."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__(io.FileIO(file))
+        self._end = self.seek(0, 2)
+        self.seek(0)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return at most the given number of bytes; all bytes that are left by default."""
+        left = max(0, self._end - self.tell())
+        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 def boxes(data: bytes, start: int = 0, end: int | None = None) -> Iterator[tuple[bytes, bytes]]:

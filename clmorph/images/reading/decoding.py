@@ -9,17 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from clmorph._shared.typing import AnyArray
 from clmorph.images.reading import tiff
-from clmorph.images.reading.boxes import boxes
-from clmorph.images.reading.opening import Reader, UnsupportedError, open_picture, xmp_orientation
+from clmorph.images.reading.boxes import Reader, boxes
+from clmorph.images.reading.opening import UnsupportedError, open_picture, xmp_orientation
 from clmorph.images.reading.profiles import is_srgb, to_srgb
 from clmorph.images.reading.spaces import Description, described, from_space
 
 Decoded = tuple[AnyArray, list[str]]
 #: Modes of Pillow that hold 16 bits of gray.
 GRAY_16 = ("I;16", "I;16B", "I;16L", "I;16N")
+#: Pillow's formats that can hold an animation.
+_ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
 #: The markers with which the data of a JPEG 2000 picture begin, and the places of its size and of
 #: the first depth.
 _JPEG_2000, _SIZE, _DEPTH = b"\xff\x4f\xff\x51", 8, 42
@@ -34,8 +37,7 @@ def decode(file: Path, max_pixels: int) -> Decoded:
     with Reader(file) as stream:
         if stream.read(4) in tiff.SIGNATURES:
             return _decode_tiff(file, max_pixels)
-        picture = open_picture(file, stream, max_pixels)
-        with picture:
+        with open_picture(file, stream, max_pixels) as picture:
             return _decode_picture(file, picture)
 
 
@@ -67,25 +69,15 @@ def _decode_picture(file: Path, picture: Any) -> Decoded:
         inside = np.zeros(picture.size[::-1], np.uint8)
         inside[shown[1] : shown[3], shown[0] : shown[2]] = 255
         alpha = inside if alpha is None else np.minimum(alpha, inside)
-    if _is_animated(picture):
-        notes.append("several pictures: its first is taken")
+    with suppress(Exception):  # a damaged second picture, which is not needed
+        if kind in _ANIMATED and getattr(picture, "is_animated", False):
+            notes.append("several pictures: its first is taken")
     return _finished(colors, alpha, description, _orientation(picture.info), notes)
-
-
-#: Pillow's formats that can hold an animation.
-_ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
-
-
-def _is_animated(picture: Any) -> bool:
-    try:
-        return picture.format in _ANIMATED and bool(getattr(picture, "is_animated", False))
-    except Exception:  # a damaged second picture, which is not needed
-        return False
 
 
 def _split(picture: Any) -> tuple[Any, AnyArray | None]:
     """Return an image's colors (mode L, RGB, CMYK, LAB, or deep gray), and its opacity or None."""
-    tile = next(map(_raw_mode, _tiles_of(picture)), "")
+    tile = next(map(_raw_mode, getattr(picture, "tile", ())), "")
     picture.load()
     transparent = picture.info.get("transparency")
     if picture.mode in (*GRAY_16, "I"):
@@ -176,9 +168,8 @@ def _finished(
     if alpha is not None:
         if colors.dtype != alpha.dtype:
             colors, alpha = _as_float(colors), _as_float(alpha)
-        colors = np.dstack(
-            (np.broadcast_to(colors.reshape(*alpha.shape, -1), (*alpha.shape, 3)), alpha)
-        )
+        colors = np.broadcast_to(colors.reshape(*alpha.shape, -1), (*alpha.shape, 3))
+        colors = np.dstack((colors, alpha))
     return _turned(colors, turned), notes
 
 
@@ -188,8 +179,6 @@ def _as_float(values: AnyArray) -> AnyArray:
 
 def _as_picture(colors: AnyArray) -> Any:
     """Return an array of samples as a Pillow image of 8 bits: L, RGB or CMYK."""
-    from PIL import Image
-
     if colors.dtype != np.uint8:
         colors = np.round(_as_float(colors) * 255).astype(np.uint8)
     mode = "L" if colors.ndim == 2 else {3: "RGB", 4: "CMYK"}[colors.shape[2]]
@@ -225,13 +214,8 @@ def _own_samples(picture: Any, file: Path) -> AnyArray | None:
         return None
     import imagecodecs
 
-    decode = {
-        "QOI": imagecodecs.qoi_decode,
-        "PNG": imagecodecs.png_decode,
-        "AVIF": imagecodecs.avif_decode,
-        "JPEG2000": imagecodecs.jpeg2k_decode,
-    }[picture.format]
-    samples: AnyArray = np.asarray(decode(data))
+    name = "jpeg2k" if picture.format == "JPEG2000" else picture.format.lower()
+    samples: AnyArray = np.asarray(getattr(imagecodecs, f"{name}_decode")(data))
     if samples.ndim == 4:  # an animation
         samples = samples[0]
     if samples.shape[:2] != picture.size[::-1] or samples.shape[2:] not in ((), (2,), (3,), (4,)):
@@ -296,11 +280,6 @@ _BITS = {
 }  # fmt: skip
 
 
-def _tiles_of(picture: Any) -> Any:
-    """Return the tiles of a file that Pillow has not decoded yet."""
-    return getattr(picture, "tile", ())
-
-
 def _raw_mode(tile: Any) -> str:
     """Return the raw mode of a tile, which describes the storage of the tile to the decoder."""
     args = tile[3][0] if isinstance(tile[3], tuple) and tile[3] else tile[3]
@@ -311,7 +290,7 @@ def _is_reduced(picture: Any) -> bool:
     """Return whether Pillow keeps only 8 bits of samples that have more."""
     if picture.mode in (*GRAY_16, "I", "F"):
         return False
-    for tile in _tiles_of(picture):
+    for tile in getattr(picture, "tile", ()):  # those that are not decoded yet
         most = tile[3][-1] if tile[0] == "ppm" else 0
         deep_png = picture.format == "PNG" and ";16" in _raw_mode(tile)
         if deep_png or tile[0] == "SGI16" or (isinstance(most, int) and most > 255):

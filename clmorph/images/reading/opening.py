@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from PIL import Image
+
 from clmorph._shared.printable import printable
 from clmorph.errors import FileError
 
@@ -58,20 +60,6 @@ class UnsupportedError(Exception):
     """A valid file of a kind that is not read; the message continues "<name of the file>"."""
 
 
-class Reader(io.BufferedReader):
-    """A file whose reads are limited to its length, as decoders trust sizes in damaged headers."""
-
-    def __init__(self, file: Path) -> None:
-        super().__init__(io.FileIO(file))
-        self._end = self.seek(0, 2)
-        self.seek(0)
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        """Return at most the given number of bytes; all bytes that are left by default."""
-        left = max(0, self._end - self.tell())
-        return super().read(left if size is None or size < 0 else min(size, left))
-
-
 def unsupported_reason(error: Exception) -> str:
     """Return what a decoder does not support of a valid file, or "" if the file is damaged."""
     told = printable(str(error), REASON_LENGTH)
@@ -100,8 +88,6 @@ def check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:
 
 def open_picture(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
     """Return a Pillow image that is not decoded yet, after a check of its size."""
-    from PIL import Image
-
     stream.seek(0)
     start = stream.read(64)
     fault = ""
@@ -115,17 +101,13 @@ def open_picture(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
             elif accepted:
                 return _opened(name, file, stream, max_pixels)
     kind = _unread_kind(start)
-    found = (
-        f"{file} is {kind}, which is not read" if kind else f"{file} is not an image that is read"
-    )
+    found = f"{kind}, which is not read" if kind else "not an image that is read"
     expected = fault or "expected a PNG, JPEG or similar"
-    raise FileError(f"{found}; {expected}; convert it to PNG")
+    raise FileError(f"{file} is {found}; {expected}; convert it to PNG")
 
 
 def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:
     """Open a file by the plugin of a format."""
-    from PIL import Image
-
     stream.seek(0)
     if name in ("BMP", "DIB"):  # Pillow reads run lengths byte by byte
         stream = io.BytesIO(stream.read())
@@ -141,8 +123,6 @@ def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:
 
 def _accepts(name: str, start: bytes, unsigned: bool = False) -> bool | str:
     """Return a plugin's answer to a file's first bytes; `unsigned` if it knows no signature."""
-    from PIL import Image
-
     if name == "AVIF" and b"avi" not in start:  # HEIC uses the same container
         return False
     factory, accept = Image.OPEN.get(name, (None, None))
@@ -156,8 +136,6 @@ def _accepts(name: str, start: bytes, unsigned: bool = False) -> bool | str:
 
 def _unread_kind(start: bytes) -> str:
     """Return the kind of a file that is not read, or "" if it is unknown."""
-    from PIL import Image
-
     for kind, place, marks in _UNREAD:
         if start[place:].startswith(marks):
             return kind

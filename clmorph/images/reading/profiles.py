@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageCms
 
 from clmorph._shared.printable import printable
 
@@ -14,12 +15,12 @@ _SPACES = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab": "LAB"}
 _BLACK_POINT_COMPENSATION, _NO_TABLES = 0x2000, 0x0100
 #: Largest difference between sRGB profiles of different makers, in levels of 255.
 _PROFILE_TOLERANCE = 2
+#: What Pillow raises if it cannot use a profile.
+_FAULTS = (ImageCms.PyCMSError, ImportError, OSError, ValueError, TypeError)
 
 
 def to_srgb(picture: Any, profile: bytes | None) -> tuple[NDArray[np.uint8], str]:
     """Convert an image of mode L, RGB, CMYK or LAB to sRGB, (H, W) or (H, W, 3), with a note."""
-    from PIL import ImageCms
-
     try:
         if picture.mode == "LAB" and not profile:
             return _converted(picture, ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB"))), ""
@@ -31,7 +32,7 @@ def to_srgb(picture: Any, profile: bytes | None) -> tuple[NDArray[np.uint8], str
         if picture.mode == mode:
             return _converted(picture, source), ""
         profile_fault = f"is for other colors than its {picture.mode}"
-    except _faults() as error:
+    except _FAULTS as error:
         if picture.mode == "LAB":
             raise ValueError(f"its CIELAB colors cannot be converted: {error}") from error
         profile_fault = "cannot be used"
@@ -46,8 +47,6 @@ def _plain(picture: Any) -> NDArray[np.uint8]:
 
 
 def _converted(picture: Any, source: Any) -> NDArray[np.uint8]:
-    from PIL import Image, ImageCms
-
     target = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB"))
     flags: Any = _BLACK_POINT_COMPENSATION
     levels = None
@@ -63,19 +62,15 @@ def _converted(picture: Any, source: Any) -> NDArray[np.uint8]:
 
 def _name(profile: bytes) -> str:
     """Return the description in a profile, quoted."""
-    from PIL import ImageCms
-
     try:
         name = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(BytesIO(profile)))
-    except _faults():
+    except _FAULTS:
         return "unreadable"
     return repr(printable(" ".join(name.split()), 60))
 
 
 def is_srgb(profile: bytes) -> bool:
     """Return whether a profile converts as sRGB does; its name is not reliable."""
-    from PIL import Image
-
     try:
         source, mode = _source(profile)
         levels = np.arange(256, dtype=np.uint8)
@@ -86,21 +81,12 @@ def is_srgb(profile: bytes) -> bool:
         else:
             return False
         made = _converted(Image.fromarray(ramp), source).astype(int)
-    except _faults():
+    except _FAULTS:
         return False
     return bool(np.all(np.abs(made - ramp.reshape(len(ramp), 256, -1)) <= _PROFILE_TOLERANCE))
 
 
 def _source(profile: bytes) -> tuple[Any, str]:
     """Return the opened profile, and the mode of Pillow to which it applies, or ""."""
-    from PIL import ImageCms
-
     source = ImageCms.ImageCmsProfile(BytesIO(profile))
     return source, _SPACES.get(source.profile.xcolor_space.strip(), "")
-
-
-def _faults() -> tuple[type[Exception], ...]:
-    """Return the exceptions that Pillow raises if it cannot use a profile."""
-    from PIL import ImageCms
-
-    return ImageCms.PyCMSError, ImportError, OSError, ValueError, TypeError

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from clmorph._shared.typing import AnyArray, Array
 from clmorph.images.color import decode, encode
-from clmorph.images.reading.boxes import boxes, png_chunk
-from clmorph.images.reading.opening import Reader
+from clmorph.images.reading.boxes import Reader, boxes, png_chunk
 
 #: x and y of white, red, green and blue.
 Primaries = tuple[float, ...]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from clmorph._shared.typing import AnyArray, Array
 from clmorph.errors import FileError
@@ -305,8 +306,6 @@ def interpret(file: str, stored: Stored) -> tuple[Any, AnyArray | None]:
 
 def _by_pillow(file: str, colors: AnyArray, layout: Layout) -> Any:
     """Return RGB of YCbCr, or an image of the mode LAB."""
-    from PIL import Image
-
     if colors.dtype != np.uint8:
         raise not_read(file, layout)
     if layout.compression in (*JPEG, WEBP):  # tifffile has converted YCbCr already

@@ -1,5 +1,6 @@
 """Common parts of the writers of animated images: sizes, durations, changes between frames."""
 
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +22,7 @@ FASTEST = 90.0
 Box = tuple[int, int, int, int]
 
 
-def timed_frames(recording: Recording, per_second: int) -> list[tuple[int, int]]:
+def timed_frames(recording: Recording, per_second: int | Fraction) -> list[tuple[int, int]]:
     """Return each frame's index and duration, in units of 1 / `per_second` s, in one round."""
     played = recording.played()
     units = whole_units([seconds for _, seconds in played], per_second)

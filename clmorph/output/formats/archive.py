@@ -108,11 +108,8 @@ def _write_frames(archive: zipfile.ZipFile, recording: Recording, report: Report
             _write_array(archive, f"frame_{index:0{digits}d}", recording.frames[index])
         return
     first = recording.frames[0]
-    header = {
-        "descr": np.lib.format.dtype_to_descr(first.dtype),
-        "fortran_order": False,
-        "shape": (len(recording), *first.shape),
-    }
+    descr, shape = np.lib.format.dtype_to_descr(first.dtype), (len(recording), *first.shape)
+    header = {"descr": descr, "fortran_order": False, "shape": shape}
     with archive.open(_entry("frames"), "w", force_zip64=True) as stream:
         np.lib.format.write_array_header_1_0(stream, header)
         for index in tracked(indices, report):
@@ -224,14 +221,12 @@ def _read(arrays: Arrays) -> Archive:
 
 def _read_plan(arrays: Arrays, number: int) -> Plan | Barycentric:
     start = f"plan_{number}_"
-    if f"{start}indptr" not in arrays.names:
-        return Barycentric(
-            **{name: arrays.read(start + name, *kind) for name, kind in BARYCENTRIC_ARRAYS.items()}
-        )
-    found = {name: arrays.read(start + name, *kind) for name, kind in PLAN_ARRAYS.items()}
-    rows, columns = (int(side) for side in found["shape"])
-    parts: dict[str, Any] = found | {"shape": (rows, columns)}
-    plan = Plan(**parts)
+    kinds = PLAN_ARRAYS if f"{start}indptr" in arrays.names else BARYCENTRIC_ARRAYS
+    found: dict[str, Any] = {name: arrays.read(start + name, *kinds[name]) for name in kinds}
+    if kinds is BARYCENTRIC_ARRAYS:
+        return Barycentric(**found)
+    rows, columns = (int(side) for side in found.pop("shape"))
+    plan = Plan(**found, shape=(rows, columns))
     if not plan_is_valid(plan):
         raise ValueError("its plan is not valid")
     return plan

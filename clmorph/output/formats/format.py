@@ -50,11 +50,8 @@ class Format:
 
     def matches(self, start: bytes) -> bool:
         """Return whether a file that starts with these bytes has this format; text in any case."""
-        text = start.lstrip().lower()
-        return any(
-            start.startswith(mark, offset) or text.startswith(mark, offset)
-            for offset, mark in self.signatures
-        )
+        starts = start, start.lstrip().lower()
+        return any(each.startswith(mark, at) for each in starts for at, mark in self.signatures)
 
 
 def check_sides(size: tuple[int, int], most: int, words: str) -> None:
@@ -67,20 +64,13 @@ def check_sides(size: tuple[int, int], most: int, words: str) -> None:
 
 
 @contextmanager
-def encoding(words: str, *kinds: type[Exception]) -> Iterator[None]:
+def encoding(words: str, own: type[Exception] = RuntimeError) -> Iterator[None]:
     """Raise OutputError for an encoder's errors, but let those of clmorph and of the disk pass."""
-    failures: tuple[type[Exception], ...] = (
-        RuntimeError,
-        ValueError,
-        OverflowError,
-        struct.error,
-        *kinds,
-    )
     try:
         yield
     except (ClmorphError, OSError):
         raise
-    except failures as error:
+    except (RuntimeError, ValueError, OverflowError, struct.error, own) as error:
         raise OutputError(
             f"the encoder of {words} failed ({reason_of(error)}): try another canvas, or "
             "another format"

@@ -12,13 +12,14 @@ from clmorph._shared.progress import Report, tracked
 from clmorph._shared.threads import in_order
 from clmorph.output.formats.animation import SIDE, box_of, changed, pieces, timed_frames
 from clmorph.output.formats.format import Format, check_sides, encoding
-from clmorph.output.framing import Framing
 from clmorph.output.metadata import as_text, image_head
 from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+    from clmorph.output.framing import Framing
 
 #: Number of colors in the palette; one more entry stands for transparent pixels.
 COLORS = 255
@@ -49,15 +50,13 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     head: dict[str, Any] = {"comment": as_text(recording.parameters).encode()}
     if recording.motion.loop != "once":
         head["loop"] = 0
+    # The frame before must not show through.
+    options: dict[str, Any] = {"transparency": COLORS, "disposal": 2} if framing.clear else {}
     before: Image | None = None
     # Pictures are written as they arrive; Pillow's own writer first keeps them all.
     with file.open("wb") as stream:
         for (_, units), picture in in_order(lambda each: in_palette(framing(each[0])), taken):
             box = changed(before, picture)
-            # The frame before must not show through.
-            options: dict[str, Any] = (
-                {"transparency": COLORS, "disposal": 2} if framing.clear else {}
-            )
             if framing.clear and before is not None:
                 box = box_of(np.asarray(picture) != COLORS)
             part = picture.crop(box)
@@ -90,7 +89,7 @@ def _still(picture: "Image", duration: int, options: dict[str, Any]) -> bytes:
     return stream.getvalue()
 
 
-def _palette(recording: Recording, framing: Framing) -> "Image":
+def _palette(recording: Recording, framing: "Framing") -> "Image":
     """Return an image with a palette for all frames and bars, exact for pixel art if it can."""
     from PIL import Image
 
@@ -115,7 +114,7 @@ def _palette(recording: Recording, framing: Framing) -> "Image":
     return palette
 
 
-def _exact(recording: Recording, framing: Framing) -> NDArray[np.uint32]:
+def _exact(recording: Recording, framing: "Framing") -> NDArray[np.uint32]:
     """Return the colors that must not change: those of the bars, and those of pixel art."""
     ground = np.array([framing.ground or (0, 0, 0)], np.uint8)
     bars = own = _as_numbers(ground)
@@ -127,7 +126,7 @@ def _exact(recording: Recording, framing: Framing) -> NDArray[np.uint32]:
     return own
 
 
-def _colors(recording: Recording, framing: Framing, index: int) -> NDArray[np.uint32]:
+def _colors(recording: Recording, framing: "Framing", index: int) -> NDArray[np.uint32]:
     """Return the colors of a frame's visible pixels, each packed into a number."""
     picture = np.asarray(framing.unscaled(recording.picture(index)))
     seen = picture[picture[..., 3] >= OPAQUE] if picture.shape[2] == 4 else picture

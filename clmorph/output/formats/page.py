@@ -20,7 +20,11 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     """Write one self-contained page, frames at their own sizes unless the style names one."""
     span = float(max(len(recording.morphs), 1))
     backwards = bool(recording.times[0] > recording.times[-1])
-    fields = list(_fields(recording))
+    fields = [
+        replace(field, begin=float(number), end=number + 1.0)
+        for number, morph in enumerate(recording.morphs)
+        if (field := arrow_field(morph)) is not None
+    ]
     framing, count = recording.framing(style), len(recording)
     images = recording.parameters.get("images") or ()
     names = [Path(str(image["file"])).stem for image in images if "file" in image]
@@ -65,15 +69,6 @@ def _curves(recording: Recording) -> list[Curve]:
             )
             whole.values[mine] = curve.values
     return list(curves.values())
-
-
-def _fields(recording: Recording) -> list[Field]:
-    found = [(number, arrow_field(morph)) for number, morph in enumerate(recording.morphs)]
-    return [
-        replace(field, begin=float(number), end=number + 1.0)
-        for number, field in found
-        if field is not None
-    ]
 
 
 def _turned(field: Field, span: float) -> Field:

@@ -8,7 +8,6 @@ import numpy as np
 
 from clmorph._shared.progress import Report, tracked
 from clmorph.output.formats.format import SIZES, Format, encoding
-from clmorph.output.framing import Framing, in_time
 from clmorph.output.metadata import as_png_info, read_png
 from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
@@ -30,6 +29,8 @@ def lengths(width: int, height: int) -> tuple[int, ...]:
 def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
     """Write up to ten frames with their times, on white."""
     from PIL import Image, ImageDraw, ImageFont
+
+    from clmorph.output.framing import Framing, in_time
 
     count = min(FRAMES, len(recording))
     chosen = np.unique(np.round(np.linspace(0, len(recording) - 1, count)).astype(int))

@@ -46,10 +46,8 @@ def taken_apart(value: Any) -> dict[str, Any]:
         if isinstance(value, PotentialsBatch):
             return {"batch": [part(each) for each in value]}
         if kind in CLASSES:
-            named = {name: getattr(value, name) for name in names_of(type(value))}
-            return {"class": kind} | {
-                name: part(each) for name, each in named.items() if name not in LEFT_OUT
-            }
+            names = [name for name in names_of(type(value)) if name not in LEFT_OUT]
+            return {"class": kind} | {name: part(getattr(value, name)) for name in names}
         if isinstance(value, np.ndarray):
             arrays[f"array_{len(arrays)}"] = value
             return {"array": f"array_{len(arrays) - 1}", "axes": value.ndim}

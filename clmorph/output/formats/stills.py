@@ -36,17 +36,15 @@ def _write_folder(
     """Write a new folder of PNG or TIFF files."""
     folder.mkdir()
     digits = max(4, len(str(len(recording) - 1)))
-    known = as_png_info(recording.parameters), as_text(recording.parameters)
-    with encoding("PNG" if ending == "png" else "TIFF"):
+    info, text = as_png_info(recording.parameters), as_text(recording.parameters)
+    kind = "PNG" if ending == "png" else "TIFF"
+    with encoding(kind):
         for number, picture in enumerate(_pictures(recording, style, report)):
-            place = folder / f"frame-{number:0{digits}d}.{ending}"
-            if ending == "png":
-                picture.save(place, pnginfo=known[0])
-                continue
             # It is encoded in memory, because libtiff prints a message of its own on a full disk.
+            # Each encoder takes the options that are its own.
             file = BytesIO()
-            picture.save(file, format="TIFF", compression=DEFLATE, description=known[1])
-            place.write_bytes(file.getvalue())
+            picture.save(file, kind, pnginfo=info, compression=DEFLATE, description=text)
+            (folder / f"frame-{number:0{digits}d}.{ending}").write_bytes(file.getvalue())
 
 
 @encoding("TIFF")

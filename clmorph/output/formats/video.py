@@ -9,10 +9,10 @@ import numpy as np
 from clmorph._shared.progress import Report, tracked
 from clmorph.clips.writing import CONTAINERS, ClipWriter
 from clmorph.errors import OutputError
+from clmorph.output.formats.animation import timed_frames
 from clmorph.output.formats.format import Format, check_sides, encoding
 from clmorph.output.metadata import as_text
 from clmorph.output.options import FrameStyle
-from clmorph.output.playback import whole_units
 from clmorph.output.recording import Recording
 
 #: Longer side, in pixels, to which small frames are enlarged.
@@ -37,9 +37,8 @@ def _write(
     kind = CONTAINERS[container]
     framing = recording.framing(style, SIDE, even=True, opacity=kind.opacity)
     check_sides(framing.size, kind.longest_side, kind.words)
-    played = recording.played()
-    lengths = [seconds for _, seconds in played]
-    rate = recording.motion.rate_for(lengths)
+    rate = recording.motion.rate_for([seconds for _, seconds in recording.played()])
+    shown = timed_frames(recording, rate)
     with (
         encoding(kind.words, av.error.FFmpegError),
         ClipWriter(
@@ -47,15 +46,13 @@ def _write(
             clear=framing.clear,
         ) as movie,
     ):  # fmt: skip
-        number = 0
-        lasting = whole_units(lengths, rate)
-        shown = [(index, repeats) for (index, _), repeats in zip(played, lasting, strict=True)]
+        number, last = 0, sum(repeats for _, repeats in shown)
         for index, repeats in tracked(shown, report):
             # A frame that is held is written repeatedly.
             times = range(number, number + repeats)
             movie.write(np.asarray(framing(recording.picture(index))), times, "LANCZOS")
             number += repeats
-            if number == sum(lasting):
+            if number == last:
                 # The encoder is flushed before the last report, because it still holds frames.
                 movie.finish()
 

@@ -9,13 +9,14 @@ from clmorph._shared.progress import Report, Share
 from clmorph.output.bounded import MAX_HEAD, MAX_TEXT
 from clmorph.output.formats.animation import FASTEST, SIDE, timed_frames
 from clmorph.output.formats.format import PACE, SIZES, Format, check_sides, encoding
-from clmorph.output.framing import Framing
 from clmorph.output.metadata import IMAGE_DESCRIPTION, as_text
 from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:
     from PIL.Image import Exif, Image
+
+    from clmorph.output.framing import Framing
 
 #: Quality of lossy WebP, from 0 to 100, and effort of lossless WebP.
 LOSSY_QUALITY, LOSSLESS_EFFORT = 90, 80
@@ -44,7 +45,7 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     report(Share(1.0, f"{len(frames)} of {len(frames)}"))
 
 
-def _keep_animated(file: Path, framing: Framing, duration: int, plays: int) -> None:
+def _keep_animated(file: Path, framing: "Framing", duration: int, plays: int) -> None:
     """Make a still, which libwebp writes of equal frames, an animation of one (RFC 9649, 2.7)."""
     with file.open("rb") as stream:
         stream.seek(12)
@@ -53,11 +54,9 @@ def _keep_animated(file: Path, framing: Framing, duration: int, plays: int) -> N
         return
     size = b"".join((side - 1).to_bytes(3, "little") for side in framing.size)
     pixels = b"".join(_packed(*each) for each in chunks if each[0] in (b"ALPH", b"VP8 ", b"VP8L"))
+    flags = ANIMATED | HAS_EXIF | (HAS_ALPHA if framing.clear else 0)
     whole = [
-        (
-            b"VP8X",
-            bytes((ANIMATED | HAS_EXIF | (HAS_ALPHA if framing.clear else 0), 0, 0, 0)) + size,
-        ),
+        (b"VP8X", bytes((flags, 0, 0, 0)) + size),
         (b"ANIM", struct.pack("<IH", 0, plays)),
         (b"ANMF", bytes(6) + size + duration.to_bytes(3, "little") + b"\0" + pixels),
         *(each for each in chunks if each[0] == b"EXIF"),
@@ -79,7 +78,7 @@ def _packed(kind: bytes, content: bytes) -> bytes:
     return kind + struct.pack("<I", len(content)) + content + bytes(len(content) % 2)
 
 
-def _reel(recording: Recording, order: list[int], framing: Framing, report: Report) -> "Image":
+def _reel(recording: Recording, order: list[int], framing: "Framing", report: Report) -> "Image":
     """Return an image of many frames, which Pillow reads one by one: one at a time is in memory."""
     from PIL import Image
 

@@ -2,18 +2,18 @@
 
 const SVG = "http://www.w3.org/2000/svg";
 
+function change(node, attributes) {
+  for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+  return node;
+}
+
 function element(name, attributes = {}, ...children) {
-  const made = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  const made = change(document.createElement(name), attributes);
   made.append(...children);
   return made;
 }
 
-function shape(name, attributes) {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  return made;
-}
+const shape = (name, attributes) => change(document.createElementNS(SVG, name), attributes);
 
 /**
  * @param {object[]} curves each with name, unit, values
@@ -81,11 +81,10 @@ function makeCharts(curves, times, parent, seek) {
 
     return (index) => {
       const x = across(times[index]);
-      cursor.setAttribute("x1", x);
-      cursor.setAttribute("x2", x);
+      change(cursor, { x1: x, x2: x });
       for (const { curve, dot, output } of marks) {
         const y = up(curve.values[index]);
-        for (const [key, value] of [["x1", x], ["x2", x], ["y1", y], ["y2", y]]) dot.setAttribute(key, value);
+        change(dot, { x1: x, x2: x, y1: y, y2: y });
         output.textContent = format(curve.values[index]);
       }
     };

@@ -21,7 +21,7 @@ from clmorph._shared.typing import Array
 from clmorph.errors import OutputError
 from clmorph.measures.landmark_options import MAX_LANDMARKS
 from clmorph.output.bounded import MAX_HEAD
-from clmorph.output.html.scene import Scene, as_json
+from clmorph.output.html.scene import Curve, Field, Scene, as_json
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -29,16 +29,7 @@ if TYPE_CHECKING:
 #: The limit of the size of all frames in a page, in bytes of text; a phone still opens such a page.
 PAGE_BYTES = 100e6
 #: Parts of the script in their order; each part can use the parts before it.
-SCRIPTS = (
-    "numbers.js",
-    "frames.js",
-    "player.js",
-    "stage.js",
-    "arrows.js",
-    "charts.js",
-    "marks.js",
-    "viewer.js",
-)
+SCRIPTS = ("numbers", "frames", "player", "stage", "arrows", "charts", "marks", "viewer")
 #: The text before the parameters. It occurs only once, because "<" is escaped in all other text.
 PARAMETERS = '<script type="application/json" id="clmorph-parameters">'
 #: The number of bytes within which the parameters end, because they stand near the start.
@@ -70,7 +61,7 @@ def page(scene: Scene, *, max_bytes: float = PAGE_BYTES) -> str:
 
 def write_page(scene: Scene, file: TextIO, *, max_bytes: float = PAGE_BYTES) -> None:
     """Write a page that plays a scene, frame by frame; its own policy lets it load nothing else."""
-    parts = "\n".join(_resource(name) for name in SCRIPTS)
+    parts = "\n".join(_resource(f"{name}.js") for name in SCRIPTS)
     style, script = "\n" + _resource("viewer.css"), f'\n(() => {{\n"use strict";\n{parts}}})();\n'
     slots = {
         "policy": (
@@ -107,20 +98,8 @@ def _frames(scene: Scene, max_bytes: float) -> Iterator[str]:
         "alpha": encoder.alpha,
         "sizes": [[width, height] for height, width in encoder.sizes],
         "boxes": _numbers(frame_boxes(encoder.sizes, scene.times, scene.extent), 9),
-        "curves": [
-            {"name": curve.name, "unit": curve.unit, "values": _numbers(curve.values)}
-            for curve in scene.curves
-        ],
-        "fields": [
-            {
-                "begin": float(field.begin),
-                "end": float(field.end),
-                "positions": _numbers(field.positions),
-                "displacement": _numbers(field.displacement),
-                "weights": None if field.weights is None else _numbers(field.weights),
-            }
-            for field in scene.fields
-        ],
+        "curves": [_plain(curve) for curve in scene.curves],
+        "fields": [_plain(field) for field in scene.fields],
         "notes": notes,
         "marks": marks
         and {
@@ -138,6 +117,14 @@ def _numbers(values: Array, digits: int = 5) -> Any:
     """Return numbers for JSON, rounded to `digits` significant digits."""
     rounded = [float(f"{value:.{digits}g}") for value in np.ravel(values)]
     return np.reshape(rounded, np.shape(values)).tolist()
+
+
+def _plain(part: Curve | Field) -> dict[str, Any]:
+    """Return a part of a scene for JSON."""
+    return {
+        name: value if isinstance(value, str | None) else _numbers(value)
+        for name, value in vars(part).items()
+    }
 
 
 def _rows(parameters: Any) -> Iterator[str]:

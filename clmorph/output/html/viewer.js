@@ -69,13 +69,9 @@ function controls() {
 }
 
 /** The frame next to a morph time. */
-function nearest(time) {
-  let found = 0;
-  times.forEach((other, index) => {
-    if (Math.abs(other - time) < Math.abs(times[found] - time)) found = index;
-  });
-  return found;
-}
+const nearest = (time) => times.reduce(
+  (found, other, index) => (Math.abs(other - time) < Math.abs(times[found] - time) ? index : found), 0,
+);
 
 const go = (index) => player.seek(index).catch(fail);
 const seek = (time) => go(nearest(time));
