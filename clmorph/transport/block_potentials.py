@@ -10,7 +10,6 @@ from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.transport._solver.softmin import Softmin
-from clmorph.transport.options import SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import regularization
 from clmorph.transport.sinkhorn import solve
@@ -33,9 +32,8 @@ def transport_pixels(
 ) -> PixelTransport:
     """Solve between blocks, and extend the potentials to the pixels by one softmin each."""
     pair = source.coarse, target.coarse
-    given = regularization(blur, None, None, None)
-    found = solve(operations, pair, given, tol, SolverOptions.max_iter, "auto", report)
-    epsilon = given.epsilon
+    found = solve(operations, pair, regularization(blur, tol=tol), report)
+    epsilon = found.epsilon
 
     def extended(own: PixelBlocks, other: PixelBlocks, f: Array, g: Array) -> tuple[Softmin, Array]:
         rows, columns = (operations.upload(m.points, m.weights) for m in (own.fine, other.coarse))

@@ -13,7 +13,6 @@ from clmorph._shared.validation import check_flag, check_progress, errors_about
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure, as_many, as_pair
-from clmorph.transport._solver.checks import check_solver_options
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.divergence import (
     Divergence,
@@ -26,7 +25,7 @@ from clmorph.transport.divergence import (
 from clmorph.transport.gradient import divergence_gradient
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import Regularization
+from clmorph.transport.regularization import Goal
 from clmorph.transport.sinkhorn_batch import (
     MeasuresLike,
     PotentialsBatch,
@@ -96,8 +95,7 @@ def sinkhorn_divergence_batch(
     >>> [round(float(each), 4) for each in found]
     [0.0021, 0.0183]
     """
-    given = one_regularization(blur, reach, epsilon, rho)
-    tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
+    goal = one_regularization(blur, reach, epsilon, rho, tol, max_iter, precision)
     report = check_progress(progress)
     gradient = check_flag("gradient", gradient)
     pairs = checked_pairs(as_many("sources", sources), as_many("targets", targets))
@@ -123,30 +121,27 @@ def sinkhorn_divergence_batch(
 
     places = []
     for number, pair in enumerate(pairs):
-        name = problem_name(number)
         own = (
-            place((measure, measure), f"{name}, {which} with itself")
+            place((measure, measure), f"{problem_name(number)}, {which} with itself")
             for measure, which in zip(pair, ("source", "target"), strict=True)
         )
-        places.append((place(pair, name), *own))
+        places.append((place(pair, problem_name(number)), *own))
     share = SOLVING if gradient else 1.0
-    options = given, tol, max_iter, operations, precision
-    solved = solve_many(
-        problems, *options, lambda done: report(share * done), names.__getitem__
-    )  # fmt: skip
+    name = names.__getitem__
+    solved = solve_many(problems, goal, operations, lambda done: report(share * done), name)
     selves = {cross: (solved[source], solved[target]) for cross, source, target in places}
-    solve_further(solved, selves, problems, *options, names.__getitem__)
+    solve_further(solved, selves, problems, goal, operations, name)
     found = []
     for number, (pair, numbers) in enumerate(zip(pairs, places, strict=True)):
         cross, own_source, own_target = (solved[each] for each in numbers)
         with errors_about(problem_name(number)):
-            divergence = combined(cross, own_source, own_target, given)
+            divergence = combined(cross, own_source, own_target)
         if gradient:
             derivatives = divergence_gradient(pair, cross, (own_source, own_target), operations)
             divergence = replace(divergence, gradient=derivatives)
             report(share + (1 - share) * (number + 1) / len(pairs))
         found.append(divergence)
-    warn_of_missed(solved, names.__getitem__)
+    warn_of_missed(solved, name)
     return found
 
 
@@ -154,11 +149,8 @@ def solve_further(
     solved: PotentialsBatch,
     selves: Mapping[int, tuple[Potentials, Potentials]],
     pairs: Sequence[tuple[AnyMeasure, AnyMeasure]],
-    given: Regularization,
-    tol: float,
-    max_iter: int,
+    goal: Goal,
     operations: Operations,
-    precision: str,
     name: Callable[[int], str],
 ) -> None:
     """Solve problems with wide divergences further, and change `solved`; see `further_tol`."""
@@ -166,18 +158,18 @@ def solve_further(
     for number, own in selves.items():
         if not np.isfinite(solved[number].gap) or solved[number] in own:
             continue
-        smaller = further_tol(combined(solved[number], *own, given), tol)
+        smaller = further_tol(combined(solved[number], *own), goal.tol)
         if smaller is not None:
             wide[number] = smaller
     if not wide:
         return
-    numbers, smallest = list(wide), min(wide.values())
+    numbers = list(wide)
     again = solve_many(
-        [pairs[number] for number in numbers], given, smallest, max_iter, operations, precision,
+        [pairs[number] for number in numbers], goal._replace(tol=min(wide.values())), operations,
         lambda share: None, lambda number: name(numbers[number]), exact=True,
     )  # fmt: skip
     for number, further in zip(numbers, again, strict=True):
-        solved._put(number, better(solved[number], further, tol))
+        solved._put(number, better(solved[number], further, goal.tol))
 
 
 class DivergenceMatrix:
@@ -207,8 +199,8 @@ class DivergenceMatrix:
     False
     """
 
-    def __init__(self, solved: PotentialsBatch, places: AnyArray, given: Regularization) -> None:
-        self._solved, self._places, self._given = solved, places, given
+    def __init__(self, solved: PotentialsBatch, places: AnyArray) -> None:
+        self._solved, self._places = solved, places
         count = len(places)
         self.values, self.low, self.high = (np.zeros((count, count)) for _ in range(3))
         for i in range(count):
@@ -233,7 +225,7 @@ class DivergenceMatrix:
     def __getitem__(self, pair: tuple[int, int]) -> Divergence:
         """Return the divergence of a pair of measures."""
         i, j = (range(len(self))[number] for number in pair)
-        return combined(self._between(i, j), self._between(i, i), self._between(j, j), self._given)
+        return combined(self._between(i, j), self._between(i, i), self._between(j, j))
 
     def _between(self, i: int, j: int) -> Potentials:
         potentials = self._solved[int(self._places[min(i, j), max(i, j)])]
@@ -291,8 +283,7 @@ def divergence_matrix(
     >>> matrix.values.round(4).tolist()
     [[0.0, 0.0089, 0.0466], [0.0089, 0.0, 0.0314], [0.0466, 0.0314, 0.0]]
     """
-    given = one_regularization(blur, reach, epsilon, rho)
-    tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
+    goal = one_regularization(blur, reach, epsilon, rho, tol, max_iter, precision)
     report = check_progress(progress)
     own = as_many("measures", measures)
     # Pairs (i, j) of measures, and the measures.
@@ -312,11 +303,11 @@ def divergence_matrix(
     def name(number: int) -> str:
         return _name(*between[number])
 
-    solved = solve_many(pairs, given, tol, max_iter, operations, precision, report, name)
+    solved = solve_many(pairs, goal, operations, report, name)
     selves = {number: (solved[i], solved[j]) for number, (i, j) in enumerate(between) if i != j}
-    solve_further(solved, selves, pairs, given, tol, max_iter, operations, precision, name)
+    solve_further(solved, selves, pairs, goal, operations, name)
     warn_of_missed(solved, name)
-    return DivergenceMatrix(solved, places, given)
+    return DivergenceMatrix(solved, places)
 
 
 def _name(i: int, j: int) -> str:

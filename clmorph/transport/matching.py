@@ -204,8 +204,9 @@ def _scaled(
     coarse = large and unit.x.shape[1] <= FLAT
     if prices is None and unit.spare < SPARE * len(unit.x):
         prices = solve(
-            operations, unit.measures(), regularization(EPSILON**0.5), TOLERANCE, ITERATIONS,
-            "float32", lambda share: report(Share(0.3 * share, "prices")),
+            operations, unit.measures(),
+            regularization(EPSILON**0.5, tol=TOLERANCE, max_iter=ITERATIONS, precision="float32"),
+            lambda share: report(Share(0.3 * share, "prices")),
             truncation=TRUNCATION if large else "auto", multiscale=coarse or "auto",
         ).g  # fmt: skip
     elif prices is None:

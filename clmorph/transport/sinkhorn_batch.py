@@ -18,13 +18,13 @@ from clmorph.backends.threads import results_in_order
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, Checked, MeasureLike, as_many, as_pair
 from clmorph.transport._solver.batch import NotFiniteError, problem_of_many
-from clmorph.transport._solver.checks import check_problem, check_solver_options, is_large
+from clmorph.transport._solver.checks import check_problem, is_large
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.softmin import overflow
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import AlgorithmOptions, Precision, Reach, SolverOptions
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import Regularization, regularization
+from clmorph.transport.regularization import Goal, regularization
 from clmorph.transport.sinkhorn import finish, solve, warn_unless_converged
 
 
@@ -103,8 +103,8 @@ class PotentialsBatch(Items[Potentials]):
 class Solved:
     """Problems that were solved together."""
 
-    def __init__(self, numbers: IntArray, iteration: Iteration, given: Regularization) -> None:
-        self.numbers, self._iteration, self._given = numbers, iteration, given
+    def __init__(self, numbers: IntArray, iteration: Iteration) -> None:
+        self.numbers, self._iteration = numbers, iteration
         self.statuses: list[str] = list(iteration.status)
         self.residuals, self.n_iter = iteration.residual, iteration.n_iter
         # Certificates, which may be asked for much later, need no clouds.
@@ -113,7 +113,7 @@ class Solved:
 
     def make(self, place: int) -> Potentials:
         """Return the potentials of a problem, by its place among these."""
-        return finish(self._iteration.outcome(place), self._given, None)
+        return finish(self._iteration.outcome(place), None)
 
 
 #: Problems that were solved together, or the number of one that was solved by itself, and its end.
@@ -206,12 +206,10 @@ def sinkhorn_batch(
             f"sinkhorn_batch has no option {name!r}: expected the options that define the problem, "
             "and precision, backend and progress; use clmorph.sinkhorn for a single problem"
         )
-    given = regularization(blur, reach, epsilon, rho)
-    tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
+    goal = regularization(blur, reach, epsilon, rho, tol, max_iter, precision)
     report = check_progress(progress)
     pairs = checked_pairs(as_many("sources", sources), as_many("targets", targets))
-    operations = get_backend(backend)
-    found = solve_many(pairs, given, tol, max_iter, operations, precision, report)
+    found = solve_many(pairs, goal, get_backend(backend), report)
     warn_of_missed(found, problem_name)
     return found
 
@@ -251,11 +249,8 @@ def checked_pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasu
 
 def solve_many(
     pairs: Sequence[tuple[AnyMeasure, AnyMeasure]],
-    given: Regularization,
-    tol: float,
-    max_iter: int,
+    goal: Goal,
     operations: Operations,
-    precision: str,
     report: Progress,
     name: Callable[[int], str] = problem_name,
     exact: bool = False,
@@ -263,8 +258,8 @@ def solve_many(
     """Solve the problems of checked pairs of measures, without a warning."""
     for number, pair in enumerate(pairs):
         with errors_about(name(number)):
-            check_problem(*pair, given, operations, precision, tol)
-    lists = together(pairs, given.rho, len(members_of(operations)))
+            check_problem(pair, goal, operations)
+    lists = together(pairs, goal.rho, len(members_of(operations)))
     done, lock = [0.0] * len(lists), threading.Lock()
 
     def part(member: int, place: int) -> Part:
@@ -277,18 +272,15 @@ def solve_many(
                 done[place] = value * len(own)
                 report(sum(done) / len(pairs))
 
-        options = tol, max_iter, precision, share
         try:
             if _is_single(own[0]):
-                return numbers[0], solve(device, own[0], given, *options, exact=exact)
-            problem = problem_of_many(device, own, given.rho)
-            if is_symmetric(own[0], given.rho):
-                return Solved(
-                    np.array(numbers), solve_symmetric(problem, given.blur, *options), given
-                )
-            iteration = Iteration(problem, given.blur, *options, exact=exact)
+                return numbers[0], solve(device, own[0], goal, share, exact=exact)
+            problem = problem_of_many(device, own, goal.rho)
+            if is_symmetric(own[0], goal.rho):
+                return Solved(np.array(numbers), solve_symmetric(problem, goal, share))
+            iteration = Iteration(problem, goal, share, exact=exact)
             iteration.run()
-            return Solved(np.array(numbers), iteration, given)
+            return Solved(np.array(numbers), iteration)
         except NotFiniteError as error:
             raise overflow(f"{name(numbers[error.problem])}: points") from None
         except InputError as error:

@@ -25,7 +25,7 @@ from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.plan import Plan, plan_of_pairs
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import Regularization
+from clmorph.transport.regularization import Goal
 from clmorph.transport.sinkhorn import solve
 
 
@@ -130,7 +130,7 @@ def by_label(
     target: Measure,
     labels: tuple[IntArray, IntArray],
     solve_size: int | None,
-    given: Regularization,
+    goal: Goal,
 ) -> list[Subproblem]:
     """Divide the problem between two images into those of the labels, (H, W), that both have.
 
@@ -152,7 +152,7 @@ def by_label(
             f"labels: no label has mass in both images ({shown}), so nothing would move: give "
             "what belongs together the same label"
         )
-    _check_balance(masses, given)
+    _check_balance(masses, goal)
     parts = []
     for label in common:
         blocks = [
@@ -180,9 +180,9 @@ def _some(names: list[int]) -> str:
     return shown + (", …" if len(names) > 4 else "")
 
 
-def _check_balance(masses: list[dict[int, float]], given: Regularization) -> None:
+def _check_balance(masses: list[dict[int, float]], goal: Goal) -> None:
     """Refuse labels whose mass cannot all move, on sides that are balanced."""
-    balanced = [bool(np.isinf(rho)) for rho in given.rho]
+    balanced = [bool(np.isinf(rho)) for rho in goal.rho]
     for label in sorted(set(masses[0]) | set(masses[1])):
         one, other = (each.get(label, 0.0) for each in masses)
         lost = any(
@@ -200,9 +200,7 @@ def _check_balance(masses: list[dict[int, float]], given: Regularization) -> Non
 def solve_parts(
     parts: Sequence[Subproblem],
     masses: tuple[float, float],
-    given: Regularization,
-    tol: float,
-    max_iter: int,
+    goal: Goal,
     operations: Operations,
     report: Progress,
 ) -> tuple[list[Potentials], Potentials]:
@@ -215,21 +213,21 @@ def solve_parts(
     total, done = sum(part.pairs for part in parts), 0
     for part in parts:
         pair = as_pair(*part.measures)
-        check_problem(*pair, given, operations, "auto", tol)
+        check_problem(pair, goal, operations)
 
         def share(own: float, before: int = done, pairs: int = part.pairs) -> None:
             report((before + own * pairs) / total)
 
-        found.append(solve(operations, pair, given, tol, max_iter, "auto", share))
+        found.append(solve(operations, pair, goal, share))
         done += part.pairs
-    return found, _together(parts, found, masses, given)
+    return found, _together(parts, found, masses, goal)
 
 
 def _together(
     parts: Sequence[Subproblem],
     solved: Sequence[Potentials],
     masses: tuple[float, float],
-    given: Regularization,
+    goal: Goal,
 ) -> Potentials:
     """Return the potentials of all parts as one."""
     worst = max(range(len(solved)), key=lambda k: (not solved[k].converged, solved[k].residual))
@@ -247,9 +245,9 @@ def _together(
     pairs = [part.pairs for part in parts]
     return Potentials(
         np.concatenate([each.f for each in solved]), np.concatenate([each.g for each in solved]),
-        given.blur, given.reach, first.status, message, n_iter, first.residual,
+        goal.blur, goal.reach, first.status, message, n_iter, first.residual,
         max((each.residuals for each in solved), key=len),
-        _joint_certificate([each.certificate for each in solved], masses, given),
+        _joint_certificate([each.certificate for each in solved], masses, goal),
         any(each.precise for each in solved), max(truncations, default=None),
         max(each.truncation_error for each in solved),
         float(np.average([each.visited for each in solved], weights=pairs)),
@@ -257,16 +255,16 @@ def _together(
 
 
 def _joint_certificate(
-    parts: Sequence[Certificate], masses: tuple[float, float], given: Regularization
+    parts: Sequence[Certificate], masses: tuple[float, float], goal: Goal
 ) -> Certificate:
     """Add up certificates; pairs of other labels and mass without a partner are constants."""
-    constant = given.epsilon * (
+    constant = goal.epsilon * (
         masses[0] * masses[1] - sum(each.masses[0] * each.masses[1] for each in parts)
     )
     for side in (0, 1):
         alone = masses[side] - sum(each.masses[side] for each in parts)
-        if np.isfinite(given.rho[side]):
-            constant += given.rho[side] * max(alone, 0.0)
+        if np.isfinite(goal.rho[side]):
+            constant += goal.rho[side] * max(alone, 0.0)
     primal, dual, gap, error, transported = (
         sum(getattr(each, name) for each in parts)
         for name in ("primal", "dual", "gap", "marginal_error", "transported_mass")

@@ -15,6 +15,7 @@ from clmorph.transport._solver.coarse_grid import expanded
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem, State
 from clmorph.transport._solver.softmin import Softmin, many_pairs
+from clmorph.transport.regularization import Goal
 
 #: Side of the clusters at a level, in units of its blur.
 ANNEALING_SIDE = 1.0
@@ -55,15 +56,14 @@ def anneal(
     problem: Problem,
     pair: tuple[AnyMeasure, AnyMeasure],
     finest: Problem,
-    blur: float,
-    max_iter: int,
+    goal: Goal,
 ) -> Array:
     """Return initial potentials g, (M,), from larger blurs over larger clusters.
 
     The measures `pair` are those of the problem `finest`: the points, or clusters of them. Its
     softmins receive first guesses.
     """
-    top = problem.top_blur
+    top, blur = problem.top_blur, goal.blur
     levels: list[_Level] = []
     while len(pair[0]) * len(pair[1]) > FEW_PAIRS and blur < top:
         blur *= 2
@@ -75,10 +75,8 @@ def anneal(
     for level in levels:
         problems.append(_level_problem(problem, level, problems[-1]))
     for level, coarse in reversed(list(zip(levels, problems[1:], strict=True))):
-        iteration = Iteration(
-            coarse, level.blur, CLUSTER_TOLERANCE, max_iter, "float32", ignore, certify=False,
-            patience=LEVEL_PATIENCE,
-        )  # fmt: skip
+        aim = goal._replace(blur=level.blur, tol=CLUSTER_TOLERANCE, precision="float32")
+        iteration = Iteration(coarse, aim, ignore, certify=False, patience=LEVEL_PATIENCE)
         iteration.run(g)
         state = iteration.outcome().state
         problems.pop()

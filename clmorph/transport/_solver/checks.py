@@ -4,40 +4,17 @@ from typing import Any
 
 import numpy as np
 
-from clmorph._shared.validation import check_choice, check_number, shown
+from clmorph._shared.validation import check_number, shown
 from clmorph.backends.interface import MAX_SPREAD, Operations
 from clmorph.errors import DeviceError, InputError
 from clmorph.measures.grid import are_grids
 from clmorph.measures.points import AnyMeasure, corners_of, dimension_of
 from clmorph.transport._solver.problem import largest_cost
 from clmorph.transport._solver.softmin import FEW_DIMENSIONS, many_pairs
-from clmorph.transport.options import AlgorithmOptions, SolverOptions
-from clmorph.transport.regularization import Regularization
+from clmorph.transport.regularization import Goal
 
-#: Values of `multiscale` beside True and False.
-MULTISCALE = ("auto",)
 #: Relative difference of masses up to which balanced transport is feasible.
 MASS_TOLERANCE = 1e-6
-
-
-def check_solver_options(
-    tol: Any = SolverOptions.tol,
-    max_iter: Any = SolverOptions.max_iter,
-    method: Any = AlgorithmOptions.method,
-    scaling: Any = AlgorithmOptions.scaling,
-    precision: Any = AlgorithmOptions.precision,
-    multiscale: Any = "auto",
-) -> tuple[float, int, float]:
-    """Check options of `sinkhorn` without solving the problem."""
-    AlgorithmOptions.checked("method", method)
-    AlgorithmOptions.checked("precision", precision)
-    if not isinstance(multiscale, bool | np.bool_):
-        check_choice("multiscale", multiscale, MULTISCALE)
-    return (
-        SolverOptions.checked("tol", tol),
-        SolverOptions.checked("max_iter", max_iter),
-        AlgorithmOptions.checked("scaling", scaling),
-    )
 
 
 def is_large(pair: tuple[AnyMeasure, AnyMeasure], operations: Operations | None = None) -> bool:
@@ -71,15 +48,9 @@ def check_grid_options(grids: bool, truncation: Any, multiscale: Any) -> None:
         )
 
 
-def check_problem(
-    source: AnyMeasure,
-    target: AnyMeasure,
-    given: Regularization,
-    operations: Operations,
-    precision: str,
-    tol: float = np.inf,
-) -> None:
-    """Check that a problem has a solution, which a backend can compute to a residual `tol`."""
+def check_problem(pair: tuple[AnyMeasure, AnyMeasure], given: Goal, operations: Operations) -> None:
+    """Check that a problem has a solution, which a backend can compute to the tolerance."""
+    (source, target), tol = pair, given.tol
     balanced = all(np.isinf(rho) for rho in given.rho)
     differ = abs(source.mass - target.mass) / source.mass if balanced else 0.0
     # No residual is smaller than the difference.
@@ -104,7 +75,7 @@ def check_problem(
                 f"reach={rho**0.5:g} is too large for blur={given.blur:g}: expected at most "
                 f"{np.sqrt(MAX_SPREAD) * given.blur:g}, or None (balanced) for equal masses"
             )
-    if precision == "float64" and not operations.has_float64:
+    if given.precision == "float64" and not operations.has_float64:
         raise DeviceError(
             f"precision='float64': {operations.description} has no double precision; use "
             "'auto' (pairs of float32 where needed), another device, or the backend 'numpy'"

@@ -22,7 +22,7 @@ from clmorph.measures.points import (
     as_measures,
     dimension_of,
 )
-from clmorph.transport._solver.checks import check_problem, check_solver_options
+from clmorph.transport._solver.checks import check_problem
 from clmorph.transport.barycenters.fixed_support import fixed_support
 from clmorph.transport.barycenters.free_support import free_support
 from clmorph.transport.barycenters.result import Barycenter, BarycenterProblem, Call
@@ -139,12 +139,12 @@ def barycenter(
     operations = get_backend(backend)
     for first in (problem.measures[0], problem.start):
         for each in problem.measures:
-            check_problem(first, each, call.given, operations, "auto")
+            check_problem((first, each), call.goal._replace(tol=np.inf), operations)
     found = (fixed_support if fixed else free_support)(problem, call, operations, report)
     warn_unless_converged(
         found.status,
         f"barycenter: residual {found.residual:.1e} after {found.n_iter} iterations, above the "
-        f"tolerance {call.tol:g}; raise max_iter, tol or blur",
+        f"tolerance {call.goal.tol:g}; raise max_iter, tol or blur",
     )
     return found
 
@@ -154,11 +154,10 @@ def checked_call(
     debias: Any, seed: Any,
 ) -> Call:  # fmt: skip
     """Return the checked options of `barycenter`, which are its parameters."""
-    given = one_regularization(blur, reach, epsilon, rho)
     fixed, debias = check_flag("fixed", fixed), check_flag("debias", debias)
     most = (FIXED_ITERATIONS if fixed else FREE_ITERATIONS) if max_iter is None else max_iter
-    tol, most, _ = check_solver_options(tol, most)
-    return Call(given, tol, most, fixed, debias, check_integer("seed", seed, 0, 2**63))
+    goal = one_regularization(blur, reach, epsilon, rho, tol, most)
+    return Call(goal, fixed, debias, check_integer("seed", seed, 0, 2**63))
 
 
 def prepared(measures: Any, weights: Any, support: Any, call: Call) -> BarycenterProblem:
@@ -211,7 +210,7 @@ def _free_start(
         count = max(map(len, measures))
         if support is not None:
             count = check_integer("support", support, 1, 1 << 24)
-        chosen = _means if np.isinf(call.given.rho[0]) else _drawn
+        chosen = _means if np.isinf(call.goal.rho[0]) else _drawn
         points = chosen(measures, shares, count, call.seed)
         return WeightedPoints(points, np.full(count, mass / count))
     found = _as_points(support, mass)

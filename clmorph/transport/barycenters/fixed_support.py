@@ -69,8 +69,8 @@ def fixed_support(
 ) -> Barycenter:
     """Return the barycenter's weights on given points, or on a grid whose mask counts."""
     measures, shares, support = problem
-    given, tol, max_iter, debias = call.given, call.tol, call.max_iter, call.debias
-    epsilon, rho = given.epsilon, given.rho[0]
+    tol, max_iter, debias = call.goal.tol, call.goal.max_iter, call.debias
+    epsilon, rho = call.goal.epsilon, call.goal.rho[0]
     q = 1.0 / (1.0 + epsilon / rho)
     even = support.weights
     places: Any
