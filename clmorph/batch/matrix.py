@@ -16,11 +16,11 @@ from clmorph.errors import ConvergenceWarning
 from clmorph.measures.points import AnyMeasure, as_many, as_pair
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.divergence import check_symmetric, combined, one_regularization
-from clmorph.transport.divergence_batch import solve_further
+from clmorph.transport.divergence_batch import solve_divergences
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Goal
-from clmorph.transport.sinkhorn_batch import MeasuresLike, solve_many
+from clmorph.transport.sinkhorn_batch import MeasuresLike
 
 #: Measures along a side of a block.
 BLOCK = 16
@@ -155,9 +155,8 @@ def _solve(
         return [], 0
     with TURN:
         operations = get_backend(backend)
-        found = solve_many(pairs, goal, operations, lambda share: None, name)
-        solve_further(found, dict(enumerate(selves)), pairs, goal, operations, name)
-        solved = list(found)
+        own = dict(enumerate(selves))
+        solved = list(solve_divergences(pairs, own, goal, operations, lambda share: None, name))
     return solved, sum(not each.converged for each in solved)
 
 

@@ -159,8 +159,10 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
         return check_grid(name, value)
     if isinstance(value, WeightedPoints):
         made = _weighted_points(name, value.weights, value.points, value.offsets)
-        ours = (value.weights, value.points, value.offsets)
-        return value if all(map(_is_plain, ours)) else made
+        ours = [each for each in (value.weights, value.points, value.offsets) if each is not None]
+        # The solver can use such arrays without conversion.
+        plain = all(type(each) is np.ndarray and each.dtype == np.float64 for each in ours)
+        return value if plain else made
     shape = getattr(value, "shape", None)
     # Some libraries have a type of their own for shapes.
     sides = tuple(shape) if isinstance(shape, Iterable) else None
@@ -185,11 +187,6 @@ def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Meas
         )
     check_measure(name, value)
     return value
-
-
-def _is_plain(array: Any) -> bool:
-    """Return whether the solver can use an array without conversion."""
-    return array is None or (type(array) is np.ndarray and array.dtype == np.float64)
 
 
 #: In place of weights: 1 / N for each point.

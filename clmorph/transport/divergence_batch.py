@@ -128,9 +128,10 @@ def sinkhorn_divergence_batch(
         places.append((place(pair, problem_name(number)), *own))
     share = SOLVING if gradient else 1.0
     name = names.__getitem__
-    solved = solve_many(problems, goal, operations, lambda done: report(share * done), name)
-    selves = {cross: (solved[source], solved[target]) for cross, source, target in places}
-    solve_further(solved, selves, problems, goal, operations, name)
+    solved = solve_divergences(
+        problems, {cross: (source, target) for cross, source, target in places}, goal, operations,
+        lambda done: report(share * done), name,
+    )  # fmt: skip
     found = []
     for number, (pair, numbers) in enumerate(zip(pairs, places, strict=True)):
         cross, own_source, own_target = (solved[each] for each in numbers)
@@ -145,24 +146,30 @@ def sinkhorn_divergence_batch(
     return found
 
 
-def solve_further(
-    solved: PotentialsBatch,
-    selves: Mapping[int, tuple[Potentials, Potentials]],
+def solve_divergences(
     pairs: Sequence[tuple[AnyMeasure, AnyMeasure]],
+    selves: Mapping[int, tuple[Any, Any]],
     goal: Goal,
     operations: Operations,
+    report: Progress,
     name: Callable[[int], str],
-) -> None:
-    """Solve problems with wide divergences further, and change `solved`; see `further_tol`."""
+) -> PotentialsBatch:
+    """Solve problems, and those with wide divergences further; see `further_tol`.
+
+    selves: for each problem between two measures those of both with themselves, by their numbers
+    or solved.
+    """
+    solved = solve_many(pairs, goal, operations, report, name)
     wide: dict[int, float] = {}
-    for number, own in selves.items():
+    for number, both in selves.items():
+        own = [each if isinstance(each, Potentials) else solved[each] for each in both]
         if not np.isfinite(solved[number].gap) or solved[number] in own:
             continue
         smaller = further_tol(combined(solved[number], *own), goal.tol)
         if smaller is not None:
             wide[number] = smaller
     if not wide:
-        return
+        return solved
     numbers = list(wide)
     again = solve_many(
         [pairs[number] for number in numbers], goal._replace(tol=min(wide.values())), operations,
@@ -170,6 +177,7 @@ def solve_further(
     )  # fmt: skip
     for number, further in zip(numbers, again, strict=True):
         solved._put(number, better(solved[number], further, goal.tol))
+    return solved
 
 
 class DivergenceMatrix:
@@ -303,9 +311,8 @@ def divergence_matrix(
     def name(number: int) -> str:
         return _name(*between[number])
 
-    solved = solve_many(pairs, goal, operations, report, name)
-    selves = {number: (solved[i], solved[j]) for number, (i, j) in enumerate(between) if i != j}
-    solve_further(solved, selves, pairs, goal, operations, name)
+    selves = {number: pair for number, pair in enumerate(between) if pair[0] != pair[1]}
+    solved = solve_divergences(pairs, selves, goal, operations, report, name)
     warn_of_missed(solved, name)
     return DivergenceMatrix(solved, places)
 

@@ -19,6 +19,7 @@ transport" (2019), section 4.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -121,18 +122,12 @@ def gradient(
             "use one metric for all pixels"
         )
     operations = get_backend(backend)
-    clouds = uploaded_pair(operations, pair)
-    sides = (
-        _side(operations, clouds, pair, potentials),
-        _side(operations, clouds[::-1], pair[::-1], potentials.swapped()),
-    )
-    epsilon = potentials.epsilon
-    masses = [float(measure.weights.sum()) for measure in pair]
-    weights = [
-        side.weights(epsilon) + epsilon * (mass - 1.0)
-        for side, mass in zip(sides, masses[::-1], strict=True)
-    ]
-    return joined_sides([side.points for side in sides], weights, potentials)
+    rows = RowsOfPlan(operations, pair, potentials, uploaded_pair(operations, pair))
+    sides = []
+    for own, other in ((_side(rows), pair[1]), (_side(rows.swapped()), pair[0])):
+        constant = potentials.epsilon * (float(other.weights.sum()) - 1.0)
+        sides.append((own.points, own.weights(potentials.epsilon) + constant))
+    return joined_sides(sides, potentials)
 
 
 def divergence_gradient(
@@ -142,18 +137,15 @@ def divergence_gradient(
     operations: Operations,
 ) -> Gradient:
     """Return the derivatives of the divergence of two measures, given its three solves."""
-    points, weights = [], []
-    both = uploaded_pair(operations, pair)
-    for clouds, measures, potentials, own in (
-        (both, pair, cross, selves[0]),
-        # Swapped too, so that equal measures have derivatives that cancel to the bit.
-        (both[::-1], pair[::-1], cross.swapped(), selves[1].swapped()),
-    ):
-        between = _side(operations, clouds, measures, potentials)
-        within = _side(operations, (clouds[0],) * 2, (measures[0],) * 2, own)
-        points.append(between.points - within.points)
-        weights.append(between.weights(cross.epsilon, within.potential))
-    return joined_sides(points, weights, cross)
+    sides = []
+    both = RowsOfPlan(operations, pair, cross, uploaded_pair(operations, pair))
+    # Swapped too, so that equal measures have derivatives that cancel to the bit.
+    for rows, own in ((both, selves[0]), (both.swapped(), selves[1].swapped())):
+        twice = RowsOfPlan(operations, (rows.pair[0],) * 2, own, (rows.clouds[0],) * 2)
+        between, within = _side(rows), _side(twice)
+        weights = between.weights(cross.epsilon, within.potential)
+        sides.append((between.points - within.points, weights))
+    return joined_sides(sides, cross)
 
 
 class _Side(NamedTuple):
@@ -177,23 +169,16 @@ class _Side(NamedTuple):
         return -(1.0 / self.inverse_rho + epsilon) * np.exp(scaled) * fall
 
 
-def _side(
-    operations: Operations,
-    clouds: tuple[Any, Any],
-    pair: tuple[AnyMeasure, AnyMeasure],
-    potentials: Potentials,
-) -> _Side:
+def _side(rows: RowsOfPlan) -> _Side:
     """Return the derivatives by the source, from the potentials of the target alone."""
-    source = pair[0]
-    going = RowsOfPlan(operations, pair, potentials, clouds).sent()
+    source, going = rows.pair[0], rows.sent()
     mass = source.weights * going.ratio
-    return _Side(
-        mass[:, None] * (source.points - going.mean), going.potential, inverse_rho(potentials)
-    )
+    points = mass[:, None] * (source.points - going.mean)
+    return _Side(points, going.potential, inverse_rho(rows.potentials))
 
 
-def joined_sides(points: list[Array], weights: list[Array], potentials: Potentials) -> Gradient:
+def joined_sides(sides: Sequence[tuple[Array, Array]], potentials: Potentials) -> Gradient:
     """Return a gradient; if both sides are balanced, its derivatives by weights have the mean 0."""
     if np.all(np.isinf(potentials.rho)):
-        weights = [each - each.mean() for each in weights]
-    return Gradient(points[0], weights[0], points[1], weights[1])
+        sides = [(points, weights - weights.mean()) for points, weights in sides]
+    return Gradient(*sides[0], *sides[1])

@@ -86,19 +86,17 @@ def hessian_product(
         raise InputError("weights must be positive for second derivatives: remove points without")
     changes = _changes(pair, direction)
     if isinstance(solved, Potentials):
-        sides = _product(pair, solved, *changes)
-        return joined_sides([side[0] for side in sides], [side[1] for side in sides], solved)
+        return joined_sides(_product(pair, solved, *changes), solved)
     cross = _product(pair, solved.cross, *changes)
-    found: list[tuple[Array, Array]] = []
-    for measure, change, own, there in zip(
-        pair, changes, (solved.source_self, solved.target_self), cross, strict=True
-    ):
-        within = _product((measure, measure), own, change, change)[0]
-        found.append((there[0] - within[0], there[1] - within[1]))
     # epsilon / 2 (m_a - m_b)^2, of which the weights' derivatives change by a constant.
     more = solved.cross.epsilon * (changes[0][1].sum() - changes[1][1].sum())
-    weights = [found[0][1] + more, found[1][1] - more]
-    return joined_sides([each[0] for each in found], weights, solved.cross)
+    sides = []
+    for measure, change, own, there, constant in zip(
+        pair, changes, (solved.source_self, solved.target_self), cross, (more, -more), strict=True
+    ):
+        within = _product((measure, measure), own, change, change)[0]
+        sides.append((there[0] - within[0], there[1] - within[1] + constant))
+    return joined_sides(sides, solved.cross)
 
 
 def _changes(pair: tuple[AnyMeasure, AnyMeasure], direction: Any) -> list[tuple[Array, Array]]:

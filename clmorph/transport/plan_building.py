@@ -58,11 +58,6 @@ def no_pair_kept(log_threshold: float, largest: float) -> InputError:
     )
 
 
-def undecided(log_threshold: float, rounding: float) -> float:
-    """Return a bound of the error of a device's log pi_ij near the threshold, in nats."""
-    return ROUNDINGS * (rounding + FLOAT32 * max(1.0, abs(log_threshold)))
-
-
 def strictly_above(
     pairs: PlanRows,
     source: AnyMeasure,
@@ -73,8 +68,8 @@ def strictly_above(
 ) -> PlanRows:
     """Drop pairs not above the threshold in float64, so that a device's rounding has no effect.
 
-    `pairs` are all above `log_threshold - margin` (nats, see `undecided`) as a device computed
-    them; those this near to the threshold are computed again.
+    `pairs` are all above `log_threshold - margin`, in nats, as a device computed them; those this
+    near to the threshold are computed again.
     """
     log_mass = _log(pairs.mass)
     keep = log_mass > log_threshold
@@ -186,7 +181,8 @@ def transport_plan(
         )
     margin = 0.0
     if log_threshold is not None:
-        margin = undecided(log_threshold, of_rows.rounding)
+        # A bound of the error of a device's log pi_ij near the threshold, in nats.
+        margin = ROUNDINGS * (of_rows.rounding + FLOAT32 * max(1.0, abs(log_threshold)))
         row_thresholds = np.full(len(f), log_threshold - margin)
         column_thresholds = np.full(len(g), np.inf)
     else:

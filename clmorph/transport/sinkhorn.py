@@ -14,16 +14,11 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.records import LastPasses
 from clmorph.backends.select import Backend, get_backend
-from clmorph.errors import ConvergenceWarning
+from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.grid import are_grids
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.transport._solver.checks import (
-    check_grid_options,
-    check_problem,
-    choose_truncation,
-    is_large,
-)
+from clmorph.transport._solver.checks import check_problem, choose_truncation, is_large
 from clmorph.transport._solver.iteration import SHORT, Iteration, Outcome
 from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem
@@ -147,8 +142,11 @@ def sinkhorn(
     verify = check_flag("verify", verify)
     report = check_progress(progress)
     pair = as_pair(source, target)
-    grids = are_grids(*pair)
-    check_grid_options(grids, truncation, multiscale)
+    if are_grids(*pair) and (multiscale is True or not isinstance(truncation, str | None)):
+        raise InputError(
+            "between grids all cells are summed, an axis after the other: expected truncation and "
+            "multiscale as they are by default"
+        )
     operations = for_one_solve(get_backend(backend))
     check_problem(pair, goal, operations)
     g = None

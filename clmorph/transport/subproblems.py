@@ -137,17 +137,13 @@ def by_label(
     A block of pixels of several labels becomes a point of each of them, with the mass and the mean
     of its pixels, so that labels stay apart exactly whatever the size of the blocks.
     """
-    names, sizes = zip(
-        *(_masses(measure, each) for measure, each in zip((source, target), labels, strict=True)),
-        strict=True,
-    )
-    count = len(np.union1d(*names))
+    masses = list(map(_masses, (source, target), labels))
+    count = len(masses[0].keys() | masses[1].keys())
     if count > MAX_LABELS:
         raise InputError(f"labels: {count} different ones: expected at most {MAX_LABELS}")
-    masses = [dict(zip(*both, strict=True)) for both in zip(names, sizes, strict=True)]
-    common = sorted(set(masses[0]) & set(masses[1]))
+    common = sorted(masses[0].keys() & masses[1].keys())
     if not common:
-        shown = " and ".join(_some(each) for each in names)
+        shown = " and ".join(_some(list(each)) for each in masses)
         raise InputError(
             f"labels: no label has mass in both images ({shown}), so nothing would move: give "
             "what belongs together the same label"
@@ -167,12 +163,11 @@ def by_label(
     return parts
 
 
-def _masses(measure: Measure, labels: IntArray) -> tuple[list[int], list[float]]:
-    """Return the labels that have mass in an image, and their masses."""
+def _masses(measure: Measure, labels: IntArray) -> dict[int, float]:
+    """Return the masses of the labels that have some in an image."""
     names, index = np.unique(labels.ravel(), return_inverse=True)
-    masses = np.bincount(index, measure.weights, len(names))
-    there = masses > 0
-    return names[there].tolist(), masses[there].tolist()
+    masses = np.bincount(index, measure.weights, len(names)).tolist()
+    return {name: mass for name, mass in zip(names.tolist(), masses, strict=True) if mass > 0}
 
 
 def _some(names: list[int]) -> str:
@@ -183,7 +178,7 @@ def _some(names: list[int]) -> str:
 def _check_balance(masses: list[dict[int, float]], goal: Goal) -> None:
     """Refuse labels whose mass cannot all move, on sides that are balanced."""
     balanced = [bool(np.isinf(rho)) for rho in goal.rho]
-    for label in sorted(set(masses[0]) | set(masses[1])):
+    for label in sorted(masses[0].keys() | masses[1].keys()):
         one, other = (each.get(label, 0.0) for each in masses)
         lost = any(
             fixed and own > 0 == partner

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from clmorph._shared.boxes import boxes_of_runs
 from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import Operations
 from clmorph.backends.records import NearPairs
@@ -85,8 +86,8 @@ def _uploaded(
         ])  # fmt: skip
         ranges = of.largest(offsets) + of.largest(-offsets)
     cloud = operations.upload_batch(points, weights, of.counts, offsets)
-    corners = np.minimum.reduceat(points, of.starts), np.maximum.reduceat(points, of.starts)
-    return _Side(of, weights, cloud, ranges), corners
+    low, high = boxes_of_runs(points, of.starts)
+    return _Side(of, weights, cloud, ranges), (low, high)
 
 
 def problem_of_many(

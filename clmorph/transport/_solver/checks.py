@@ -39,15 +39,6 @@ def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
     return limit
 
 
-def check_grid_options(grids: bool, truncation: Any, multiscale: Any) -> None:
-    """Check that options are not those of sums over pairs, if both measures are grids."""
-    if grids and (multiscale is True or not isinstance(truncation, str | None)):
-        raise InputError(
-            "between grids all cells are summed, an axis after the other: expected truncation and "
-            "multiscale as they are by default"
-        )
-
-
 def check_problem(pair: tuple[AnyMeasure, AnyMeasure], given: Goal, operations: Operations) -> None:
     """Check that a problem has a solution, which a backend can compute to the tolerance."""
     (source, target), tol = pair, given.tol

@@ -139,7 +139,7 @@ def clouds_of(
 
 
 def uploaded_pair(operations: Operations, pair: tuple[AnyMeasure, AnyMeasure]) -> tuple[Any, Any]:
-    """Return both measures as clouds, for `row_projection`, which needs none of grids."""
+    """Return both measures as clouds, for `RowsOfPlan.projection`, which needs none of grids."""
     if are_grids(*pair):
         return None, None
     return upload_both(operations, *pair)

@@ -213,9 +213,7 @@ def _free_start(
         chosen = _means if np.isinf(call.goal.rho[0]) else _drawn
         points = chosen(measures, shares, count, call.seed)
         return WeightedPoints(points, np.full(count, mass / count))
-    found = _as_points(support, mass)
-    _check_dimension(found, measures[0])
-    return found
+    return _as_points(support, mass, measures[0])
 
 
 def _means(measures: list[AnyMeasure], shares: list[float], count: int, seed: int) -> Array:
@@ -254,18 +252,18 @@ def _fixed_start(support: Any, measures: list[AnyMeasure], mass: float) -> Weigh
         raise InputError(
             f"support={shown(support)}: a fixed support needs its points, such as those of a grid"
         )
-    found = _as_points(support, 1.0)
-    _check_dimension(found, measures[0])
+    found = _as_points(support, 1.0, measures[0])
     return WeightedPoints(found.points, np.full(len(found), mass / len(found)))
 
 
-def _as_points(support: Any, mass: float) -> WeightedPoints:
+def _as_points(support: Any, mass: float, like: AnyMeasure) -> WeightedPoints:
     """Return points, or a measure, as weighted points; points alone have equal masses."""
     if not isinstance(support, WeightedPoints | Measure | Grid | tuple):
         points = as_floats("support", support, "points (N, D)")
         count = max(1, len(points) if points.ndim else 1)
         support = (np.full(count, mass / count), points)
     found = as_measure("support", support)
+    _check_dimension(found, like)
     return WeightedPoints(found.points, found.weights)
 
 
