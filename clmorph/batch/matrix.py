@@ -13,7 +13,7 @@ from clmorph._shared.validation import check_integer, errors_about
 from clmorph.backends.select import get_backend
 from clmorph.batch.extra import TURN, check_client, check_device, on_workers
 from clmorph.errors import ConvergenceWarning
-from clmorph.measures.points import AnyMeasure, as_many, as_pair
+from clmorph.measures.points import AnyMeasure, Pair, as_many, as_pair
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.divergence import check_symmetric, combined, one_regularization
 from clmorph.transport.divergence_batch import solve_divergences
@@ -145,7 +145,7 @@ def _solve_selves(
 
 
 def _solve(
-    pairs: list[tuple[AnyMeasure, AnyMeasure]],
+    pairs: list[Pair],
     name: Any,
     solver: tuple[Goal, str],
     selves: Sequence[tuple[Potentials, Potentials]] = (),

@@ -1,7 +1,5 @@
 """Clusters of nearby points of a measure, which form a coarser measure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

@@ -13,8 +13,6 @@ a function of the position z in the target's frame: it costs nothing along T and
 way past a landmark longer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

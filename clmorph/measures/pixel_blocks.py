@@ -1,7 +1,5 @@
 """Square blocks of pixels: an image at the resolution at which its transport is solved."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

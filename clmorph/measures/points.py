@@ -62,12 +62,14 @@ class WeightedPoints:
 
 #: The kinds of measure that the solver takes.
 AnyMeasure = Measure | WeightedPoints | Grid
+#: The source and the target of a problem.
+Pair = tuple[AnyMeasure, AnyMeasure]
 #: Argument of the public functions: a measure, (weights (N,), points (N, D) or (N,)), or points
 #: alone, an array, whose weights are then 1 / N.
 MeasureLike = AnyMeasure | tuple[ArrayLike, ArrayLike] | ArrayLike
 
 
-def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
+def as_pair(source: Any, target: Any) -> Pair:
     """Return two measures with points in one space.
 
     Their cost is C_ij = |X_i - Y_j|^2 / 2 (paper, Eq. 1 with the factor 1/2), plus the offsets r_i
@@ -79,7 +81,7 @@ def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
     return pair
 
 
-def as_measures(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
+def as_measures(source: Any, target: Any) -> Pair:
     """Return two checked measures that can be compared, without the lift of `as_pair`."""
     pair = as_measure("source", source), as_measure("target", target)
     if isinstance(pair[0], Measure) and isinstance(pair[1], Measure):

@@ -14,8 +14,6 @@ more, so that they miss landmarks. One landmark gives a shift, and two a similar
 Landmarks contradict each other if their order is reversed from one picture to the other.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -33,7 +33,7 @@ from clmorph.pipeline.prepare import as_images
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recipe import recipe
 from clmorph.transport._solver.softmin import Softmin
-from clmorph.transport.assignment_search import plan_search, solved
+from clmorph.transport.assignment_search import solved
 from clmorph.transport.matching import warn_unless_reached
 from clmorph.transport.pair_costs import Costs, Indices
 from clmorph.transport.plan import Plan
@@ -250,8 +250,7 @@ def arranged(
     costs, epsilon = Costs(source.points, target.points), potentials.epsilon
     solution = solved(
         costs, potentials.g, epsilon, options.gap, options.seed,
-        lambda share: report("pixels", share),
-        plans=plan_search(costs, epsilon, options.gap, operations, options.seed),
+        lambda share: report("pixels", share), operations=operations,
     )  # fmt: skip
     warn_unless_reached(solution, options.gap)
     assignment, n_pixels = solution.columns, len(source)

@@ -8,8 +8,6 @@ random directions until one point is left in each part. Then pairs that lie near
 gathered in small blocks, and each block is assigned exactly, in rounds with new blocks.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -19,6 +19,7 @@ import numpy as np
 from clmorph._shared.progress import Report, Share
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
+from clmorph.transport._solver.iteration import share_done
 from clmorph.transport._solver.problem import upload_both
 from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin, many_pairs
 from clmorph.transport.auction import OPEN, ROUNDING, Auction, few
@@ -77,16 +78,22 @@ def solved(
     report: Report = lambda share: None,
     start: Indices | None = None,
     constant: float = 0.0,
-    plans: PlanSearch | None = None,
+    operations: Operations | None = None,
+    drawn: float | None = None,
 ) -> Solution:
     """Return an assignment whose cost is at most (1 + gap) times its bound, if that is reached.
 
     g: (M,) prices at which the search begins, such as entropic potentials; epsilon: theirs, in cost
     units; gap: 0 asks for the cheapest assignment, to rounding; seed: of draws; start: (N,)
     columns of an assignment at which it begins in place of bids, with N = M; constant: what each
-    assignment costs besides, of which the gap is a share as well; plans: search
-    of pairs that are too many for the host, whose bounds prove gaps above 0.
+    assignment costs besides, of which the gap is a share as well; operations:
+    those of a device, which searches pairs that are too many for the host if its bounds can prove
+    the gap; drawn: epsilon of the plans from which it draws, by default that of g.
     """
+    plans = None
+    many = gap > 0 and not costs.spare and len(costs.x) ** 2 >= MANY_PAIRS
+    if operations is not None and start is None and many:
+        plans = PlanSearch(costs, drawn or epsilon, operations, seed)
     state = _begun(costs, g, epsilon, start, plans)
     n, m = len(costs.x), len(costs.y)
     found, first = Solution(np.arange(n), (g[:n], g), np.inf, -np.inf, False), np.inf
@@ -114,7 +121,8 @@ def solved(
         bound = max(found.bound, -constant)  # no assignment costs less than nothing
         above = found.cost - bound
         first, enough = min(first, above), gap * (bound + constant)
-        report(Share(_share(above, first, enough), f"gap {found.gap:.1e}"))
+        least_gap = max(enough, 1e-12 * first, np.finfo(float).tiny)
+        report(Share(share_done(first, above, least_gap), f"gap {found.gap:.1e}"))
         # Nothing is left to be found, unless prices may have missed too much of a lower cost.
         proven = shortest and not undercut and least * n <= 2 * SLACK * share * (cost + constant)
         if above <= enough or (proven and plans is None):
@@ -230,23 +238,6 @@ def _add_cheapest(state: Auction, rows: Indices, nearest: Indices) -> None:
     columns = state.costs.cheapest(0, state.g, MORE, rows)
     repeated = np.repeat(rows, columns.shape[1])
     state.add(np.append(repeated, rows[: len(nearest)]), np.append(columns.ravel(), nearest))
-
-
-def _share(above: float, first: float, enough: float) -> float:
-    """Return the progress of a gap that falls about geometrically."""
-    if above <= enough or first <= 0:
-        return 1.0
-    end = np.log(first / max(enough, 1e-12 * first, np.finfo(float).tiny))
-    return float(np.clip(np.log(first / above) / end, 0.0, 1.0)) if end > 0 else 0.0
-
-
-def plan_search(
-    costs: Costs, epsilon: float, gap: float, operations: Operations, seed: int
-) -> PlanSearch | None:
-    """Return a search on the device if pairs are many and its bounds can prove the gap."""
-    if gap <= 0 or costs.spare or len(costs.x) ** 2 < MANY_PAIRS:
-        return None
-    return PlanSearch(costs, epsilon, operations, seed)
 
 
 class PlanSearch:

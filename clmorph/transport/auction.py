@@ -7,9 +7,8 @@ make the assignment the cheapest one. Prices follow from it: each row's column i
 at them. If there are more columns than rows, those that no row has have the largest price of all.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -43,7 +42,7 @@ class _Table:
     other: Indices  #: (K, width)
 
     @classmethod
-    def of(cls, lines: Indices, other: Indices, cost: Array, count: int) -> _Table:
+    def of(cls, lines: Indices, other: Indices, cost: Array, count: int) -> Self:
         """Return the table of pairs, sorted by their lines."""
         first = np.searchsorted(lines, np.arange(count + 1))
         width = max(2, int(np.diff(first).max()))

@@ -132,7 +132,6 @@ def barycentric_plan(
     >>> clmorph.barycentric_plan(source, target, potentials, backend="numpy")
     <Barycentric of 4 points, mass 0.0633731>
     """
-    images = isinstance(source, Measure) and isinstance(target, Measure)
     pair = as_pair(source, target)
     dimension = pair[0].points.shape[1]
     if dimension > MAX_COVARIANCE:
@@ -140,7 +139,7 @@ def barycentric_plan(
             f"covariances of points have {dimension} x {dimension} numbers, expected at most "
             f"{MAX_COVARIANCE} coordinates; `Potentials.map` gives mean destinations alone"
         )
-    to_colors: Callable[[Array], Array] = lambda mean: mean[:, :0]  # noqa: E731
+    to_colors = None
     if isinstance(source, Measure) and isinstance(target, Measure):
         to_colors = destination_colors(source, target)
     operations = get_backend(backend)
@@ -150,8 +149,8 @@ def barycentric_plan(
         *rows.clouds, potentials.g, rows.softmin, epsilon, precise, rows.near
     )
     return Barycentric(
-        positions=mean[:, :2] if images else mean,
-        colors=to_colors(mean),
+        positions=mean[:, :2] if to_colors else mean,
+        colors=to_colors(mean) if to_colors else mean[:, :0],
         covariance=covariance,
         row_mass=rows.mass,
         column_mass=rows.swapped().mass,

@@ -12,7 +12,7 @@ from clmorph._shared.typing import AnyArray, Array, Progress
 from clmorph._shared.validation import check_flag, check_progress, errors_about
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
-from clmorph.measures.points import AnyMeasure, as_many, as_pair
+from clmorph.measures.points import Pair, as_many, as_pair
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.divergence import (
     Divergence,
@@ -104,11 +104,11 @@ def sinkhorn_divergence_batch(
             check_symmetric(*pair)
     operations = get_backend(backend)
 
-    problems: list[tuple[AnyMeasure, AnyMeasure]] = []
+    problems: list[Pair] = []
     names: list[str] = []
     known: dict[tuple[bytes, ...], int] = {}
 
-    def place(pair: tuple[AnyMeasure, AnyMeasure], name: str) -> int:
+    def place(pair: Pair, name: str) -> int:
         """Return the place of a problem among those to solve, in which it stands once."""
         key = tuple(
             part.tobytes() for measure in pair for part in (measure.points, measure.weights)
@@ -147,7 +147,7 @@ def sinkhorn_divergence_batch(
 
 
 def solve_divergences(
-    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]],
+    pairs: Sequence[Pair],
     selves: Mapping[int, tuple[Any, Any]],
     goal: Goal,
     operations: Operations,
@@ -210,14 +210,10 @@ class DivergenceMatrix:
     def __init__(self, solved: PotentialsBatch, places: AnyArray) -> None:
         self._solved, self._places = solved, places
         count = len(places)
-        self.values, self.low, self.high = (np.zeros((count, count)) for _ in range(3))
-        for i in range(count):
-            for j in range(i, count):
-                found = self[i, j]
-                for array, value in zip(
-                    (self.values, self.low, self.high), (found.value, *found.interval), strict=True
-                ):
-                    array[i, j] = array[j, i] = value
+        self.values, self.low, self.high = whole = np.zeros((3, count, count))
+        for i, j in zip(*np.triu_indices(count), strict=True):
+            found = self[i, j]
+            whole[:, i, j] = whole[:, j, i] = found.value, *found.interval
         self.converged = solved.converged
 
     def __len__(self) -> int:
@@ -322,7 +318,7 @@ def _name(i: int, j: int) -> str:
     return f"measure {i} with itself" if i == j else f"measures {i} and {j}"
 
 
-def _pair(i: int, j: int, source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
+def _pair(i: int, j: int, source: Any, target: Any) -> Pair:
     """Return the checked measures i and j."""
     with errors_about(_name(i, j)):
         pair = as_pair(source, target)

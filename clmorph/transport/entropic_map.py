@@ -11,8 +11,6 @@ Cov_w(x)(y) / epsilon.
 Source: Pooladian, Niles-Weed, "Entropic estimation of optimal transport maps" (2021), section 3.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -30,7 +30,7 @@ from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
-from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.measures.points import MeasureLike, Pair, as_pair
 from clmorph.transport._solver.plan_softmin import RowsOfPlan, inverse_rho, uploaded_pair
 from clmorph.transport.potentials import Potentials
 
@@ -131,10 +131,7 @@ def gradient(
 
 
 def divergence_gradient(
-    pair: tuple[AnyMeasure, AnyMeasure],
-    cross: Potentials,
-    selves: tuple[Potentials, Potentials],
-    operations: Operations,
+    pair: Pair, cross: Potentials, selves: tuple[Potentials, Potentials], operations: Operations
 ) -> Gradient:
     """Return the derivatives of the divergence of two measures, given its three solves."""
     sides = []

@@ -17,7 +17,7 @@ from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.points import as_measure
-from clmorph.transport.assignment_search import FEW_PAIRS, Solution, plan_search, solved
+from clmorph.transport.assignment_search import FEW_PAIRS, Solution, solved
 from clmorph.transport.pair_costs import Costs, Indices
 from clmorph.transport.regularization import regularization
 from clmorph.transport.sinkhorn import solve
@@ -211,11 +211,10 @@ def _scaled(
         ).g  # fmt: skip
     elif prices is None:
         prices = g  # most points of the larger cloud are left, whose prices are 0
-    plans = None if start is not None else plan_search(unit, DRAWN, gap, operations, seed)
     found = solved(
         unit, prices, EPSILON, gap, seed,
         lambda share: report(Share(0.3 + 0.7 * share, getattr(share, "note", ""))), start,
-        constant / scale, plans,
+        constant / scale, operations, DRAWN,
     )  # fmt: skip
     f, g = (scale * each for each in found.prices)
     return Solution(found.columns, (f, g), scale * found.cost, scale * found.bound, found.reached)

@@ -1,7 +1,5 @@
 """Costs of pairs of points to be assigned, and each point's cheapest pairs at some prices."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

@@ -1,7 +1,5 @@
 """Convert a plan between blocks of pixels to a plan between pixels, which are then drawn."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any

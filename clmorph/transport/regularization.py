@@ -1,7 +1,5 @@
 """Entropic regularization and marginal penalty, each given as a length or in cost units."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import wraps

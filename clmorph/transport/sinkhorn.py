@@ -17,7 +17,7 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.grid import are_grids
 from clmorph.measures.measure import Measure
-from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.measures.points import MeasureLike, Pair, as_pair
 from clmorph.transport._solver.checks import check_problem, choose_truncation, is_large
 from clmorph.transport._solver.iteration import SHORT, Iteration, Outcome
 from clmorph.transport._solver.multiscale import Multiscale
@@ -168,7 +168,7 @@ def sinkhorn(
 
 def solve(
     operations: Operations,
-    pair: tuple[AnyMeasure, AnyMeasure],
+    pair: Pair,
     goal: Goal,
     report: Progress,
     *,
@@ -198,7 +198,12 @@ def solve(
         iteration.run(g)
         ended = iteration.outcome()
     if verify and limit is not None:
-        _take_all_pairs(ended)
+        # The last softmins are computed once more, over all pairs.
+        for softmin in problem.softmins:
+            softmin.release()
+        ended.state = problem.measured(ended.state.f, ended.state.g, goal.epsilon)
+        if ended.state.residual > goal.tol and ended.status == "converged":
+            ended.status = "precision"
     found = finish(ended, limit)
     return replace(found, passes=_passes(ended)) if keep else found
 
@@ -213,16 +218,6 @@ def _passes(ended: Outcome) -> LastPasses | None:
         problem.operations, (state.f, state.g), (state.t_rows, state.t_columns),
         (near[0], near[1]), (problem.rows, problem.columns),
     )  # fmt: skip
-
-
-def _take_all_pairs(ended: Outcome) -> None:
-    """Compute the last softmins once more, over all pairs."""
-    problem, state = ended.problem, ended.state
-    for softmin in (problem.to_rows, problem.to_columns):
-        softmin.release()
-    ended.state = problem.measured(state.f, state.g, ended.goal.epsilon)
-    if ended.state.residual > ended.goal.tol and ended.status == "converged":
-        ended.status = "precision"
 
 
 def _geomloss(problem: Problem, goal: Goal, scaling: float, report: Progress) -> Potentials:

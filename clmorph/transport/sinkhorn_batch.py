@@ -16,7 +16,7 @@ from clmorph.backends.multi_device import members_of, turns
 from clmorph.backends.select import Backend, get_backend
 from clmorph.backends.threads import results_in_order
 from clmorph.errors import InputError
-from clmorph.measures.points import AnyMeasure, Checked, MeasureLike, as_many, as_pair
+from clmorph.measures.points import Checked, MeasureLike, Pair, as_many, as_pair
 from clmorph.transport._solver.batch import NotFiniteError, problem_of_many
 from clmorph.transport._solver.checks import check_problem, is_large
 from clmorph.transport._solver.iteration import Iteration
@@ -228,7 +228,7 @@ def warn_of_missed(found: PotentialsBatch, name: Callable[[int], str]) -> None:
         warn_unless_converged("missed", message, 4)
 
 
-def checked_pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasure, AnyMeasure]]:
+def checked_pairs(sources: list[Any], targets: list[Any]) -> list[Pair]:
     """Return the checked measures of every problem."""
     if len(sources) != len(targets):
         raise InputError(
@@ -248,7 +248,7 @@ def checked_pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasu
 
 
 def solve_many(
-    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]],
+    pairs: Sequence[Pair],
     goal: Goal,
     operations: Operations,
     report: Progress,
@@ -296,14 +296,12 @@ def solve_many(
     return PotentialsBatch(parts, len(pairs))
 
 
-def _is_single(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
+def _is_single(pair: Pair) -> bool:
     """Return whether a problem is solved by itself."""
     return is_large(pair) or max(len(measure) for measure in pair) > MAX_BATCH
 
 
-def together(
-    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float], devices: int = 1
-) -> list[list[int]]:
+def together(pairs: Sequence[Pair], rho: tuple[float, float], devices: int = 1) -> list[list[int]]:
     """Return the problems solved together, of one dimension and kind, in lists for devices."""
     lists: list[list[int]] = []
     #: The list of each kind that is not full, and its numbers of points.

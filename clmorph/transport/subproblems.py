@@ -5,8 +5,6 @@ parts are the problem whose cost between different labels is infinite, so the su
 are the values of that problem.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -9,7 +9,7 @@ from clmorph._shared.boxes import boxes_of_runs
 from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import Operations
 from clmorph.backends.records import NearPairs
-from clmorph.measures.points import AnyMeasure
+from clmorph.measures.points import AnyMeasure, Pair
 from clmorph.transport._solver.problem import Problem, cost_across
 from clmorph.transport._solver.reductions import Segments
 from clmorph.transport._solver.softmin import Softmin, overflow
@@ -91,7 +91,7 @@ def _uploaded(
 
 
 def problem_of_many(
-    operations: Operations, pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float]
+    operations: Operations, pairs: Sequence[Pair], rho: tuple[float, float]
 ) -> Problem:
     """Return the problems of many pairs (source, target), all in one dimension, as one."""
     rows, (low, high) = columns, others = _uploaded(operations, [source for source, _ in pairs])

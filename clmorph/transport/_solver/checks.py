@@ -8,7 +8,7 @@ from clmorph._shared.validation import check_number, shown
 from clmorph.backends.interface import MAX_SPREAD, Operations
 from clmorph.errors import DeviceError, InputError
 from clmorph.measures.grid import are_grids
-from clmorph.measures.points import AnyMeasure, corners_of, dimension_of
+from clmorph.measures.points import Pair, corners_of, dimension_of
 from clmorph.transport._solver.problem import largest_cost
 from clmorph.transport._solver.softmin import FEW_DIMENSIONS, many_pairs
 from clmorph.transport.regularization import Goal
@@ -17,7 +17,7 @@ from clmorph.transport.regularization import Goal
 MASS_TOLERANCE = 1e-6
 
 
-def is_large(pair: tuple[AnyMeasure, AnyMeasure], operations: Operations | None = None) -> bool:
+def is_large(pair: Pair, operations: Operations | None = None) -> bool:
     """Return whether a problem is solved through coarser ones, with truncated sums."""
     if are_grids(*pair) or dimension_of(pair[0]) > FEW_DIMENSIONS:
         return False
@@ -39,7 +39,7 @@ def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
     return limit
 
 
-def check_problem(pair: tuple[AnyMeasure, AnyMeasure], given: Goal, operations: Operations) -> None:
+def check_problem(pair: Pair, given: Goal, operations: Operations) -> None:
     """Check that a problem has a solution, which a backend can compute to the tolerance."""
     (source, target), tol = pair, given.tol
     balanced = all(np.isinf(rho) for rho in given.rho)

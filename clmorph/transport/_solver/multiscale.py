@@ -18,7 +18,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array, Progress
 from clmorph.measures.cluster import Clusters, join_points, label_cubes
-from clmorph.measures.points import AnyMeasure
+from clmorph.measures.points import Pair
 from clmorph.transport._solver.annealing import anneal, ignore, prepare
 from clmorph.transport._solver.coarse_grid import (
     STORED_CHOICES,
@@ -103,13 +103,7 @@ FINENESSES = (
 class Multiscale(Outcome):
     """One solve of a large problem between two measures, by iterations over its points."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        pair: tuple[AnyMeasure, AnyMeasure],
-        goal: Goal,
-        report: Progress,
-    ) -> None:
+    def __init__(self, problem: Problem, pair: Pair, goal: Goal, report: Progress) -> None:
         none = State(*(np.zeros(0),) * 4, np.inf)
         super().__init__(problem, goal, none, "max_iter", [], 0, 2, 0.0, False)
         self._pair, self._report, self._reported = pair, report, 0.0

@@ -9,7 +9,7 @@ from clmorph._shared.typing import Array
 from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.records import LastPasses, NearPairs
 from clmorph.measures.grid import are_grids
-from clmorph.measures.points import AnyMeasure, corners_of
+from clmorph.measures.points import Pair, corners_of
 from clmorph.transport._solver.grid_softmin import GridSoftmin
 from clmorph.transport._solver.problem import largest_cost, upload_both
 from clmorph.transport._solver.softmin import Softmin, check_finite
@@ -35,7 +35,7 @@ class RowsOfPlan:
     """
 
     def __init__(
-        self, operations: Operations, pair: tuple[AnyMeasure, AnyMeasure], potentials: Potentials,
+        self, operations: Operations, pair: Pair, potentials: Potentials,
         clouds: tuple[Any, Any] | None = None,
     ) -> None:  # fmt: skip
         check_potentials("potentials", potentials, (len(pair[0]), len(pair[1])))
@@ -112,9 +112,7 @@ class RowsOfPlan:
         return Sent(potential, np.exp(np.minimum(-potential * inverse, MAX_EXPONENT)), mean)
 
 
-def _passes(
-    operations: Operations, pair: tuple[AnyMeasure, AnyMeasure], potentials: Potentials
-) -> LastPasses | None:
+def _passes(operations: Operations, pair: Pair, potentials: Potentials) -> LastPasses | None:
     """Return what the solve of these measures has left on this backend, if anything."""
     passes, own = potentials.passes, potentials.measures
     if passes is None or own is None or passes.operations is not operations:
@@ -130,15 +128,13 @@ def _passes(
     return passes if same else None
 
 
-def clouds_of(
-    operations: Operations, pair: tuple[AnyMeasure, AnyMeasure], potentials: Potentials
-) -> tuple[Any, Any]:
+def clouds_of(operations: Operations, pair: Pair, potentials: Potentials) -> tuple[Any, Any]:
     """Return both measures in the backend's memory, where a large solve may have left them."""
     passes = _passes(operations, pair, potentials)
     return passes.clouds if passes else upload_both(operations, *pair)
 
 
-def uploaded_pair(operations: Operations, pair: tuple[AnyMeasure, AnyMeasure]) -> tuple[Any, Any]:
+def uploaded_pair(operations: Operations, pair: Pair) -> tuple[Any, Any]:
     """Return both measures as clouds, for `RowsOfPlan.projection`, which needs none of grids."""
     if are_grids(*pair):
         return None, None

@@ -10,7 +10,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array, IntArray, Progress
 from clmorph.measures.grid import Grid
-from clmorph.measures.points import AnyMeasure
+from clmorph.measures.points import AnyMeasure, Pair
 from clmorph.transport._solver.batch import some
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
@@ -18,7 +18,7 @@ from clmorph.transport._solver.steps import Steps
 from clmorph.transport.regularization import Goal
 
 
-def is_symmetric(pair: tuple[AnyMeasure, AnyMeasure], rho: tuple[float, float]) -> bool:
+def is_symmetric(pair: Pair, rho: tuple[float, float]) -> bool:
     """Return whether a problem is that of a measure with itself, with one reach for both sides."""
     source, target = pair
     return (

@@ -20,8 +20,6 @@ Feydy, Vialard, Trouvé and Peyré, "Sinkhorn divergences for unbalanced optimal
 Janati, Cuturi and Gramfort, "Debiased Sinkhorn barycenters", ICML 2020, section 3.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from clmorph._shared.typing import Progress
