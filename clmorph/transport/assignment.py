@@ -13,11 +13,9 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.typing import Array
-
-Indices = NDArray[np.intp]
+from clmorph.transport.pair_costs import Indices
 
 #: Pairs of a block that is assigned exactly, in the first rounds and in all later ones. Far from
 #: the optimum small blocks gain as much, in less time.

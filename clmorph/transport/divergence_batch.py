@@ -211,7 +211,7 @@ class DivergenceMatrix:
         self._solved, self._places = solved, places
         count = len(places)
         self.values, self.low, self.high = whole = np.zeros((3, count, count))
-        for i, j in zip(*np.triu_indices(count), strict=True):
+        for i, j in np.transpose(np.triu_indices(count)).tolist():
             found = self[i, j]
             whole[:, i, j] = whole[:, j, i] = found.value, *found.interval
         self.converged = solved.converged

@@ -100,12 +100,11 @@ def _scales(distances: Array, radius: float) -> Array:
 
 def _scaled(target: AnyMeasure, middle: Array, scale: float, operations: Operations) -> Any:
     """Return the target around its middle as a cloud, multiplied by a number; see `_scales`."""
-    centered = target.points - middle
-    offsets = np.zeros(len(target)) if target.offsets is None else target.offsets
+    centered, offsets = target.points - middle, target.offsets
     if scale != 1.0:
-        offsets = offsets + 0.5 * (1.0 - scale**2) * np.square(centered).sum(axis=1)
-    given = None if scale == 1.0 and target.offsets is None else offsets
-    return operations.upload(scale * centered, target.weights, given)
+        more = 0.5 * (1.0 - scale**2) * np.square(centered).sum(axis=1)
+        offsets = more if offsets is None else offsets + more
+    return operations.upload(scale * centered, target.weights, offsets)
 
 
 def as_places(points: Any, target: AnyMeasure) -> Array:

@@ -194,9 +194,7 @@ def solve(
     elif many and goal.max_iter >= SHORT if multiscale == "auto" else multiscale:
         ended = Multiscale(problem, pair, goal, report).run(g)
     else:
-        iteration = Iteration(problem, goal, report, exact=exact)
-        iteration.run(g)
-        ended = iteration.outcome()
+        ended = Iteration(problem, goal, report, exact=exact).run(g).outcome()
     if verify and limit is not None:
         # The last softmins are computed once more, over all pairs.
         for softmin in problem.softmins:

@@ -27,6 +27,10 @@ from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Goal, regularization
 from clmorph.transport.sinkhorn import finish, solve, warn_unless_converged
 
+#: The numbers of problems that were solved together, and their solve, or the number of one that was
+#: solved by itself, and its end.
+Part = tuple[IntArray, Iteration] | tuple[int, Potentials]
+
 
 class PotentialsBatch(Items[Potentials]):
     """The potentials of many problems, in the order of the problems.
@@ -57,18 +61,19 @@ class PotentialsBatch(Items[Potentials]):
     """
 
     def __init__(self, parts: Iterable[Part], count: int) -> None:
-        self._place: dict[int, tuple[Solved, int]] = {}
+        self._place: dict[int, tuple[Iteration, int]] = {}
         self._made: dict[int, Potentials] = {}
         self.statuses = [""] * count
         self.residuals, self.n_iter = np.zeros(count), np.zeros(count, np.int64)
         for part in parts:
-            if isinstance(part, tuple):
+            if isinstance(part[1], Potentials):
                 self._put(*part)
                 continue
-            for place, number in enumerate(part.numbers):
-                self._place[int(number)] = part, place
-                self.statuses[number] = part.statuses[place]
-            self.residuals[part.numbers], self.n_iter[part.numbers] = part.residuals, part.n_iter
+            numbers, ended = part
+            for place, number in enumerate(numbers):
+                self._place[int(number)] = ended, place
+                self.statuses[number] = ended.status[place]
+            self.residuals[numbers], self.n_iter[numbers] = ended.residual, ended.n_iter
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what is pickled: all potentials, which need no device."""
@@ -90,34 +95,14 @@ class PotentialsBatch(Items[Potentials]):
     def _item(self, number: int) -> Potentials:
         """Return the potentials of a problem."""
         if number not in self._made:
-            part, place = self._place[number]
-            self._made[number] = part.make(place)
+            ended, place = self._place[number]
+            self._made[number] = finish(ended.outcome(place), None)
         return self._made[number]
 
     def _put(self, number: int, potentials: Potentials) -> None:
         """Let a problem have other potentials."""
         self._made[number], self.statuses[number] = potentials, potentials.status
         self.residuals[number], self.n_iter[number] = potentials.residual, potentials.n_iter
-
-
-class Solved:
-    """Problems that were solved together."""
-
-    def __init__(self, numbers: IntArray, iteration: Iteration) -> None:
-        self.numbers, self._iteration = numbers, iteration
-        self.statuses: list[str] = list(iteration.status)
-        self.residuals, self.n_iter = iteration.residual, iteration.n_iter
-        # Certificates, which may be asked for much later, need no clouds.
-        for softmin in (iteration.problem.to_rows, iteration.problem.to_columns):
-            softmin.rows = softmin.columns = None
-
-    def make(self, place: int) -> Potentials:
-        """Return the potentials of a problem, by its place among these."""
-        return finish(self._iteration.outcome(place), None)
-
-
-#: Problems that were solved together, or the number of one that was solved by itself, and its end.
-Part = Solved | tuple[int, Potentials]
 
 
 def batch_of(potentials: Sequence[Potentials]) -> PotentialsBatch:
@@ -277,10 +262,13 @@ def solve_many(
                 return numbers[0], solve(device, own[0], goal, share, exact=exact)
             problem = problem_of_many(device, own, goal.rho)
             if is_symmetric(own[0], goal.rho):
-                return Solved(np.array(numbers), solve_symmetric(problem, goal, share))
-            iteration = Iteration(problem, goal, share, exact=exact)
-            iteration.run()
-            return Solved(np.array(numbers), iteration)
+                ended = solve_symmetric(problem, goal, share)
+            else:
+                ended = Iteration(problem, goal, share, exact=exact).run()
+            # Certificates, which may be asked for much later, need no clouds.
+            for softmin in ended.problem.softmins:
+                softmin.rows = softmin.columns = None
+            return np.array(numbers), ended
         except NotFiniteError as error:
             raise overflow(f"{name(numbers[error.problem])}: points") from None
         except InputError as error:

@@ -72,8 +72,7 @@ def anneal(problem: Problem, pair: Pair, finest: Problem, goal: Goal) -> Array:
     for level, coarse in reversed(list(zip(levels, problems[1:], strict=True))):
         aim = goal._replace(blur=level.blur, tol=CLUSTER_TOLERANCE, precision="float32")
         iteration = Iteration(coarse, aim, ignore, certify=False, patience=LEVEL_PATIENCE)
-        iteration.run(g)
-        state = iteration.outcome().state
+        state = iteration.run(g).outcome().state
         problems.pop()
         # Potentials are close to linear in epsilon, of which three quarters go at each level, so
         # the line through the last two levels is continued to the next one.

@@ -138,7 +138,7 @@ class Iteration:
             float(self.rounding[number]), bool(self.precise[number]),
         )  # fmt: skip
 
-    def run(self, start: Array | None = None) -> None:
+    def run(self, start: Array | None = None) -> "Iteration":
         """Iterate from potentials g, or from the largest blur of each problem's annealing."""
         problem, columns, goal = self.problem, self.problem.of_columns, self.goal
         tops = np.atleast_1d(problem.top_blur)
@@ -171,6 +171,7 @@ class Iteration:
         self._level_share = 1.0 - self._done
         self._last_level()
         self._report_share(1.0)
+        return self
 
     def _report_share(self, share: float) -> None:
         """Report the share of the work that is done, which never falls."""

@@ -205,9 +205,7 @@ class Multiscale(Outcome):
         precision, epsilon = self.goal.precision, self.goal.epsilon
         precise = not stored and grid.problem.needs_more(precision, epsilon, tol)
         goal = self.goal._replace(tol=tol, precision="auto" if precise else "float32")
-        iteration = Iteration(grid.problem, goal, ignore, certify=False)
-        iteration.run(g)
-        return iteration.outcome().state
+        return Iteration(grid.problem, goal, ignore, certify=False).run(g).outcome().state
 
     def _iterate_points(self, tol: float, g: Array, last: bool) -> Outcome:
         """Continue from potentials g with iterations over the points alone, to a residual."""
@@ -221,8 +219,7 @@ class Multiscale(Outcome):
             lambda share: self._report_share(reported + (end - reported) * share),
             certify=last, begun=self.n_softmin,
         )  # fmt: skip
-        iteration.run(g)
-        found = iteration.outcome()
+        found = iteration.run(g).outcome()
         self.n_softmin = found.n_softmin
         # The last one is measured again, unless this is the end.
         self.residuals += found.residuals[: None if last else -1]
