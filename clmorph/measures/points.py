@@ -243,7 +243,7 @@ def as_many(name: str, value: Any) -> list[Any]:
     """Return measures, or what is given for each; stacked arrays become a `Checked` list."""
     if isinstance(value, tuple) and len(value) == 2 and all(map(_is_array, value)):
         return _unstacked(name, *value)
-    foreign = isinstance(value, str | bytes | Mapping | Measure | WeightedPoints | Grid)
+    foreign = isinstance(value, str | bytes | Mapping | AnyMeasure)
     if foreign or _is_array(value) or not isinstance(value, Iterable):
         raise InputError(f"{name} is a {type(value).__name__}: expected {_EXPECTED}")
     try:
@@ -255,7 +255,7 @@ def as_many(name: str, value: Any) -> list[Any]:
 
 
 def _is_array(value: Any) -> bool:
-    return hasattr(value, "shape") and not isinstance(value, Measure | WeightedPoints | Grid)
+    return hasattr(value, "shape") and not isinstance(value, AnyMeasure)
 
 
 def _unstacked(name: str, weights: Any, points: Any) -> Checked:

@@ -20,15 +20,8 @@ from clmorph.backends.arrays import as_floats
 from clmorph.backends.interface import Operations
 from clmorph.backends.rounding import rounding_error
 from clmorph.errors import InputError
-from clmorph.measures.grid import Grid
 from clmorph.measures.measure import Measure
-from clmorph.measures.points import (
-    MAX_COORDINATE,
-    AnyMeasure,
-    WeightedPoints,
-    as_measure,
-    as_measures,
-)
+from clmorph.measures.points import MAX_COORDINATE, AnyMeasure, as_measure, as_measures
 
 #: Points that are mapped at once.
 CHUNK = 1 << 18
@@ -109,7 +102,7 @@ def _scaled(target: AnyMeasure, middle: Array, scale: float, operations: Operati
 
 def as_places(points: Any, target: AnyMeasure) -> Array:
     """Return points that are to be mapped into a measure, as a (K, D) array."""
-    if isinstance(points, Measure | WeightedPoints | Grid):
+    if isinstance(points, AnyMeasure):
         if isinstance(points, Measure) and isinstance(target, Measure):
             return as_measures(points, target)[0].points
         places = as_measure("points", points).points

@@ -60,25 +60,23 @@ def anneal(problem: Problem, pair: Pair, finest: Problem, goal: Goal) -> Array:
     """
     top, blur = problem.top_blur, goal.blur
     levels: list[_Level] = []
+    problems = [finest]
     while len(pair[0]) * len(pair[1]) > FEW_PAIRS and blur < top:
         blur *= 2
         levels.append(_coarser(pair, blur))
+        problems.append(_level_problem(problem, levels[-1], problems[-1]))
         pair = levels[-1].pair
     g: Array | None = None
     prolonged: list[Array] | None = None
-    problems = [finest]
-    for level in levels:
-        problems.append(_level_problem(problem, level, problems[-1]))
-    for level, coarse in reversed(list(zip(levels, problems[1:], strict=True))):
+    while levels:
+        level, coarse, fine = levels.pop(), problems.pop(), problems[-1]
         aim = goal._replace(blur=level.blur, tol=CLUSTER_TOLERANCE, precision="float32")
         iteration = Iteration(coarse, aim, ignore, certify=False, patience=LEVEL_PATIENCE)
         state = iteration.run(g).outcome().state
-        problems.pop()
         # Potentials are close to linear in epsilon, of which three quarters go at each level, so
         # the line through the last two levels is continued to the next one.
         reached = [state.t_rows, state.t_columns]
         begun = reached if prolonged is None else prolonged
-        fine = problems[-1]
         changes = [now - before for now, before in zip(reached, begun, strict=True)]
         if level.clusters is None:
             prolonged = reached

@@ -8,7 +8,6 @@ import numpy as np
 from clmorph._shared.boxes import boxes_of_runs
 from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import Operations
-from clmorph.backends.records import NearPairs
 from clmorph.measures.points import AnyMeasure, Pair
 from clmorph.transport._solver.problem import Problem, cost_across
 from clmorph.transport._solver.reductions import Segments
@@ -35,20 +34,11 @@ class BatchSoftmin(Softmin):
         self.numbers, self._starts = numbers, rows.of.starts
         self.n_columns = columns.of.counts
 
-    def _over(
-        self, near: NearPairs | None, potential: Array, epsilon: float, precise: bool, bounded: bool
-    ) -> Array:
-        arguments = self.rows, self.columns, potential, epsilon
-        self.roundoff = 0.0
-        if bounded:
-            softmin, self.roundoff = self.operations.bounded_softmin(*arguments)
-        else:
-            softmin = self.operations.softmin(*arguments, precise)
-        if not np.all(np.isfinite(softmin)):
-            place = int(np.argmin(np.isfinite(softmin)))
-            raise NotFiniteError(
-                int(self.numbers[np.searchsorted(self._starts, place, side="right") - 1])
-            )
+    def checked(self, softmin: Array) -> Array:
+        finite = np.isfinite(softmin)
+        if not finite.all():
+            problem = np.searchsorted(self._starts, int(np.argmin(finite)), side="right") - 1
+            raise NotFiniteError(int(self.numbers[problem]))
         return softmin
 
 

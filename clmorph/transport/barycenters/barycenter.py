@@ -12,7 +12,6 @@ from clmorph.backends.arrays import as_floats
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.grid import Grid, are_grids
-from clmorph.measures.measure import Measure
 from clmorph.measures.points import (
     AnyMeasure,
     MeasureLike,
@@ -258,7 +257,7 @@ def _fixed_start(support: Any, measures: list[AnyMeasure], mass: float) -> Weigh
 
 def _as_points(support: Any, mass: float, like: AnyMeasure) -> WeightedPoints:
     """Return points, or a measure, as weighted points; points alone have equal masses."""
-    if not isinstance(support, WeightedPoints | Measure | Grid | tuple):
+    if not isinstance(support, AnyMeasure | tuple):
         points = as_floats("support", support, "points (N, D)")
         count = max(1, len(points) if points.ndim else 1)
         support = (np.full(count, mass / count), points)
