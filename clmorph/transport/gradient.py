@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import MeasureLike, Pair, as_pair
-from clmorph.transport._solver.plan_softmin import RowsOfPlan, inverse_rho, uploaded_pair
+from clmorph.transport._solver.plan_softmin import RowsOfPlan, Sent, inverse_rho, uploaded_pair
 from clmorph.transport.potentials import Potentials
 
 
@@ -124,9 +124,9 @@ def gradient(
     operations = get_backend(backend)
     rows = RowsOfPlan(operations, pair, potentials, uploaded_pair(operations, pair))
     sides = []
-    for own, other in ((_side(rows), pair[1]), (_side(rows.swapped()), pair[0])):
-        constant = potentials.epsilon * (float(other.weights.sum()) - 1.0)
-        sides.append((own.points, own.weights(potentials.epsilon) + constant))
+    for own, other in ((rows, pair[1]), (rows.swapped(), pair[0])):
+        going, constant = own.sent(), potentials.epsilon * (float(other.weights.sum()) - 1.0)
+        sides.append((_by_points(own, going), _by_weights(own, going.potential) + constant))
     return joined_sides(sides, potentials)
 
 
@@ -139,39 +139,30 @@ def divergence_gradient(
     # Swapped too, so that equal measures have derivatives that cancel to the bit.
     for rows, own in ((both, selves[0]), (both.swapped(), selves[1].swapped())):
         twice = RowsOfPlan(operations, (rows.pair[0],) * 2, own, (rows.clouds[0],) * 2)
-        between, within = _side(rows), _side(twice)
-        weights = between.weights(cross.epsilon, within.potential)
-        sides.append((between.points - within.points, weights))
+        between, within = rows.sent(), twice.sent()
+        points = _by_points(rows, between) - _by_points(twice, within)
+        sides.append((points, _by_weights(rows, between.potential, within.potential)))
     return joined_sides(sides, cross)
 
 
-class _Side(NamedTuple):
-    """Derivatives by one measure."""
-
-    points: Array  #: (N, D) derivatives by the points
-    potential: Array  #: (N,) f, after one more half-step
-    inverse_rho: float  #: 1 / rho, 0 if balanced
-
-    def weights(self, epsilon: float, less: Any = 0.0) -> Array:
-        """Return (rho + epsilon) (1 - exp(-f / rho)), f if balanced, less that of a potential.
-
-        The difference has no cancellation at large rho.
-        """
-        change = self.potential - less
-        if not self.inverse_rho:
-            return change
-        scaled = np.minimum(-less * self.inverse_rho, MAX_EXPONENT)
-        fall = np.expm1(np.minimum(-change * self.inverse_rho, MAX_EXPONENT))
-        # d OT / d a without the constant epsilon (m_b - 1)
-        return -(1.0 / self.inverse_rho + epsilon) * np.exp(scaled) * fall
+def _by_points(rows: RowsOfPlan, going: Sent) -> Array:
+    """Return the derivatives by the source's points, (N, D)."""
+    mass = rows.pair[0].weights * going.ratio
+    return np.asarray(mass[:, None] * (rows.pair[0].points - going.mean))
 
 
-def _side(rows: RowsOfPlan) -> _Side:
-    """Return the derivatives by the source, from the potentials of the target alone."""
-    source, going = rows.pair[0], rows.sent()
-    mass = source.weights * going.ratio
-    points = mass[:, None] * (source.points - going.mean)
-    return _Side(points, going.potential, inverse_rho(rows.potentials))
+def _by_weights(rows: RowsOfPlan, potential: Array, less: Any = 0.0) -> Array:
+    """Return (rho + epsilon) (1 - exp(-f / rho)), f if balanced, less that of a potential.
+
+    The difference has no cancellation at large rho.
+    """
+    change, inverse = potential - less, inverse_rho(rows.potentials)
+    if not inverse:
+        return change
+    scaled = np.minimum(-less * inverse, MAX_EXPONENT)
+    fall = np.expm1(np.minimum(-change * inverse, MAX_EXPONENT))
+    # d OT / d a without the constant epsilon (m_b - 1)
+    return np.asarray(-(1.0 / inverse + rows.potentials.epsilon) * np.exp(scaled) * fall)
 
 
 def joined_sides(sides: Sequence[tuple[Array, Array]], potentials: Potentials) -> Gradient:

@@ -160,9 +160,13 @@ def assignment(
     operations = for_one_solve(get_backend(backend))
     found = certified(costs, gap, operations, seed, report)
     unit = mean if shares is not None else 1.0 / len(first)
-    result = _result(found, unit, swapped)
+    f, g = (unit * each for each in found.prices)
+    rows, columns = np.arange(len(first)), found.columns
+    if swapped:
+        columns = np.argsort(found.columns)
+        rows, f, g = found.columns[columns], g, f
     warn_unless_reached(found, gap)
-    return result
+    return Assignment(rows, columns, unit * found.cost, unit * found.bound, (f, g))
 
 
 def certified(
@@ -265,13 +269,3 @@ def _weights(value: Any, count: int, swapped: bool) -> Array:
     if not weights.any():
         raise InputError("weights are all 0: expected a positive one")
     return weights
-
-
-def _result(found: Solution, unit: float, swapped: bool) -> Assignment:
-    rows = np.arange(len(found.columns))
-    f, g = (unit * each for each in found.prices)
-    cost, bound = unit * found.cost, unit * found.bound
-    if not swapped:
-        return Assignment(rows, found.columns, cost, bound, (f, g))
-    order = np.argsort(found.columns)
-    return Assignment(found.columns[order], order, cost, bound, (g, f))

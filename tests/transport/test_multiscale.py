@@ -178,7 +178,8 @@ def stored_near(device, side, blur, rho):
     g = sinkhorn(source, target, blur, reach, 0.3, backend=device).g
     f, g, t_rows, _ = problem.half_step(0, g, problem.softmin(0, g, epsilon, True), epsilon)
     t_columns = problem.softmin(1, f, epsilon, True)
-    grid = stored_grid(problem, f, g, (t_rows, t_columns), epsilon, 10**8, STORED_CHOICES)
+    state = multiscale.State(f, g, t_rows, t_columns, np.inf)
+    grid = stored_grid(problem, state, epsilon, 10**8, STORED_CHOICES)
     return problem, f, g, t_rows, t_columns, grid
 
 

@@ -212,9 +212,12 @@ class Iteration:
                 status = self.status[numbers]
                 # The bound of the rounding can have lifted a residual above the tolerance.
                 again = converged & (status != "converged")
-                if self.certify:
+                coarse = operations.sum_roundoff > operations.precise_roundoff
+                coarse = coarse and not problem.exact_sums and goal.precision == "auto"
+                if self.certify and coarse and problem.truncation is None:
+                    # Sums in float32 have ended a solve whose tolerance exact sums can reach.
                     bounds = self.roundoffs.max(axis=0)[numbers]
-                    further = may_sum_exactly(problem, status, goal, bounds)
+                    further = (status == "precision") & (bounds < EXACT_SHARE * goal.tol)
                     again |= further
                     problem.exact_sums |= bool(further.any())
                 numbers = numbers[again & (self.n_iter[numbers] < limit)]
@@ -337,14 +340,6 @@ class Iteration:
                         tol, rounding, floor, noise, best, since_best, running, guessed, n_softmin,
                     )
                 )  # fmt: skip
-
-
-def may_sum_exactly(problem: Problem, status: Any, goal: Goal, error: Any) -> Any:
-    """Return whether sums in float32 have ended a solve, whose tolerance exact sums can reach."""
-    operations = problem.operations
-    coarse = operations.sum_roundoff > operations.precise_roundoff and not problem.exact_sums
-    possible = coarse and goal.precision == "auto" and problem.truncation is None
-    return possible & (status == "precision") & (error < EXACT_SHARE * goal.tol)
 
 
 def annealing(problem: Problem, goal: Goal, top: float) -> list[float]:

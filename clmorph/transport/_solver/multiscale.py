@@ -174,12 +174,10 @@ class Multiscale(Outcome):
 
     def _stored_grid(self) -> CoarseGrid | None:
         """Return the problem of the pairs that have notable mass now; None if they are too many."""
-        f, g, t_rows, t_columns, residual = self.state
-        usual = STORED_PER_POINT * max(len(f), len(g))
+        usual = STORED_PER_POINT * max(len(self.state.f), len(self.state.g))
         most = max(STORED, usual, min(2 * usual, MANY_STORED))
-        choices = [each for each in self._choices if residual <= each.residual]
-        softmins = t_rows, t_columns
-        grid = stored_grid(self.problem, f, g, softmins, self.goal.epsilon, most, choices)
+        choices = [each for each in self._choices if self.state.residual <= each.residual]
+        grid = stored_grid(self.problem, self.state, self.goal.epsilon, most, choices)
         # A choice that has had too many pairs is not tried again.
         too_many = choices
         if grid is not None:

@@ -142,12 +142,6 @@ def _passes(operations: Operations, pair: Pair, potentials: Potentials) -> LastP
     return passes if same else None
 
 
-def clouds_of(operations: Operations, pair: Pair, potentials: Potentials) -> tuple[Any, Any]:
-    """Return both measures in the backend's memory, where a large solve may have left them."""
-    passes = _passes(operations, pair, potentials)
-    return passes.clouds if passes else upload_both(operations, *pair)
-
-
 def uploaded_pair(operations: Operations, pair: Pair) -> tuple[Any, Any]:
     """Return both measures as clouds, for `RowsOfPlan.projection`, which needs none of grids."""
     if are_grids(*pair):
