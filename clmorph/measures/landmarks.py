@@ -66,10 +66,9 @@ def guided(
             "all pixels, or no landmarks"
         )
     pairs = np.asarray(landmarks, float).reshape(-1, 2, 2)
-    starts, ends = (
-        _in_frame(pairs[:, side], measure, shapes[side] if shapes else measure.shape, "ab"[side])
-        for side, measure in enumerate((source, target))
-    )
+    shapes = shapes or (source.shape, target.shape)
+    starts = _in_frame(pairs[:, 0], source, shapes[0], "a")
+    ends = _in_frame(pairs[:, 1], target, shapes[1], "b")
     warped, areas, missed = warp(starts, ends, source, target)
     masses = source.weights * areas
     total = masses.sum()
@@ -79,7 +78,7 @@ def guided(
     return Guided(
         with_more(moved, _bumps(warped, ends, channels, radius)),
         with_more(target, _bumps(target.positions, ends, channels, radius)),
-        missed * max(shapes[1] if shapes else target.shape),
+        missed * max(shapes[1]),
     )
 
 

@@ -166,9 +166,9 @@ def _product(
         return v.ravel() / diagonal
 
     if np.isfinite(diagonal).all() and diagonal.min() > 0:
-        operators = (LinearOperator((n + m,) * 2, matvec=each, dtype=float)
-                     for each in (applied, scaled))  # fmt: skip
-        system, preconditioner = operators
+        system, preconditioner = (
+            LinearOperator((n + m,) * 2, matvec=each, dtype=float) for each in (applied, scaled)
+        )
         both, status = cg(system, right, rtol=TOLERANCE, maxiter=ITERATIONS, M=preconditioner)
     else:
         both, status = right, 1

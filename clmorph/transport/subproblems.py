@@ -8,6 +8,7 @@ are the values of that problem.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -51,10 +52,7 @@ class Subproblem:
         whole = self.source.coarse, self.target.coarse
         if self.points is None:
             return whole
-        source, target = (
-            _chosen(measure, chosen) for measure, chosen in zip(whole, self.points, strict=True)
-        )
-        return source, target
+        return _chosen(whole[0], self.points[0]), _chosen(whole[1], self.points[1])
 
     @property
     def pairs(self) -> int:
@@ -71,10 +69,7 @@ class Subproblem:
         return Plan(
             np.concatenate(([0], np.cumsum(counts))),
             self.points[1][plan.indices].astype(np.int32), plan.mass, shape,
-            *(
-                _scattered(values, chosen, count)
-                for values, chosen, count in zip(plan.marginals, self.points, shape, strict=True)
-            ),
+            *map(_scattered, plan.marginals, self.points, shape),
         )  # fmt: skip
 
     def means_of_blocks(self, plan: Barycentric) -> Barycentric:
@@ -104,17 +99,11 @@ class Subproblem:
 
 def _chosen(measure: Measure, chosen: IntArray) -> Measure:
     """Return some points of a measure as a measure, whose shape is that of a single row."""
-
-    def some(values: Array | None) -> Array | None:
-        return None if values is None else values[chosen]
-
-    metric = measure.color_metric
-    return replace(
-        measure, positions=measure.positions[chosen], colors=measure.colors[chosen],
-        weights=measure.weights[chosen], shape=(1, len(chosen)),
-        color_metric=some(metric) if measure.has_metric_map else metric,
-        alpha=some(measure.alpha), warped=some(measure.warped), features=some(measure.features),
-    )  # fmt: skip
+    names = ["positions", "colors", "weights", "alpha", "warped", "features"]
+    names += ["color_metric"] * measure.has_metric_map
+    parts = {name: getattr(measure, name) for name in names}
+    kept: Any = {name: part[chosen] for name, part in parts.items() if part is not None}
+    return replace(measure, shape=(1, len(chosen)), **kept)
 
 
 def _scattered(values: Array, chosen: IntArray, count: int) -> Array:

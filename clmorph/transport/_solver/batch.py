@@ -64,10 +64,8 @@ def _uploaded(
 ) -> tuple[_Side, tuple[Array, Array]]:
     """Return one side, with the ranges of its offsets, and the corners of boxes, (B, D)."""
     of = Segments(np.array([len(measure) for measure in measures]))
-    points, weights = (
-        np.concatenate([getattr(measure, name) for measure in measures])
-        for name in ("points", "weights")
-    )
+    points = np.concatenate([measure.points for measure in measures])
+    weights = np.concatenate([measure.weights for measure in measures])
     offsets, ranges = None, np.zeros(len(measures))
     if any(measure.offsets is not None for measure in measures):
         offsets = np.concatenate([
@@ -129,10 +127,7 @@ def one_of(problem: Problem, number: int, roundoffs: Array) -> Problem:
     """Return one problem, with the bounds of its last softmins; one of many has no clouds."""
     if not problem.of_rows.shape:
         return problem
-    a, b = (
-        of.part(weights, number)
-        for of, weights in zip(problem.reductions, (problem.a, problem.b), strict=True)
-    )
+    a, b = problem.of_rows.part(problem.a, number), problem.of_columns.part(problem.b, number)
     softmins = [Softmin(problem.operations, None, None, each) for each in ((a, b), (b, a))]
     for softmin, roundoff in zip(softmins, roundoffs.tolist(), strict=True):
         softmin.roundoff = roundoff

@@ -127,12 +127,11 @@ class Problem:
 
     def with_truncation(self, truncation: float | None) -> "Problem":
         """Return this problem with its clouds; its softmins choose near pairs of their own."""
-        to_rows, to_columns = (
+        softmins = [
             Softmin(self.operations, of.rows, of.columns, of.weights, truncation)
-            for of in (self.to_rows, self.to_columns)
-        )
-        same = self.rho, self.largest_cost, self.reductions, self.oscillations
-        return Problem(to_rows, to_columns, *same)
+            for of in self.softmins
+        ]
+        return Problem(*softmins, self.rho, self.largest_cost, self.reductions, self.oscillations)
 
     def _weigh(self) -> None:
         """Compute what follows from the masses."""
