@@ -99,9 +99,6 @@ def sinkhorn_divergence_batch(
     report = check_progress(progress)
     gradient = check_flag("gradient", gradient)
     pairs = checked_pairs(as_many("sources", sources), as_many("targets", targets))
-    for number, pair in enumerate(pairs):
-        with errors_about(problem_name(number)):
-            check_symmetric(*pair)
     operations = get_backend(backend)
 
     problems: list[Pair] = []
@@ -121,6 +118,8 @@ def sinkhorn_divergence_batch(
 
     places = []
     for number, pair in enumerate(pairs):
+        with errors_about(problem_name(number)):
+            check_symmetric(*pair)
         own = (
             place((measure, measure), f"{problem_name(number)}, {which} with itself")
             for measure, which in zip(pair, ("source", "target"), strict=True)
@@ -291,36 +290,28 @@ def divergence_matrix(
     report = check_progress(progress)
     own = as_many("measures", measures)
     # Pairs (i, j) of measures, and the measures.
-    between = [(i, i) for i in range(len(own))]
-    pairs = [_pair(i, i, own[i], own[i]) for i in range(len(own))]
-    checked = [pair[0] for pair in pairs]
-    places = np.diag(np.arange(len(own)))
-    for i, j in zip(*np.triu_indices(len(own), 1), strict=True):
-        if are_equal(checked[i], checked[j]):
-            places[i, j] = places[i, i]
-            continue
-        places[i, j] = len(pairs)
-        between.append((int(i), int(j)))
-        pairs.append(_pair(int(i), int(j), checked[i], checked[j]))
-    operations = get_backend(backend)
+    between: list[tuple[int, int]] = []
+    pairs: list[Pair] = []
 
     def name(number: int) -> str:
-        return _name(*between[number])
+        i, j = between[number]
+        return f"measure {i} with itself" if i == j else f"measures {i} and {j}"
 
+    def add(i: int, j: int, source: Any, target: Any) -> None:
+        between.append((i, j))
+        with errors_about(name(-1)):
+            pairs.append(as_pair(source, target))
+            check_symmetric(*pairs[-1])
+
+    for i, each in enumerate(own):
+        add(i, i, each, each)
+    places = np.diag(np.arange(len(own)))
+    for i, j in np.transpose(np.triu_indices(len(own), 1)).tolist():
+        places[i, j] = i if are_equal(pairs[i][0], pairs[j][0]) else len(pairs)
+        if places[i, j] != i:
+            add(i, j, pairs[i][0], pairs[j][0])
+    operations = get_backend(backend)
     selves = {number: pair for number, pair in enumerate(between) if pair[0] != pair[1]}
     solved = solve_divergences(pairs, selves, goal, operations, report, name)
     warn_of_missed(solved, name)
     return DivergenceMatrix(solved, places)
-
-
-def _name(i: int, j: int) -> str:
-    """Return the name of a pair of measures in messages."""
-    return f"measure {i} with itself" if i == j else f"measures {i} and {j}"
-
-
-def _pair(i: int, j: int, source: Any, target: Any) -> Pair:
-    """Return the checked measures i and j."""
-    with errors_about(_name(i, j)):
-        pair = as_pair(source, target)
-        check_symmetric(*pair)
-    return pair

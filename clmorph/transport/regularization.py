@@ -53,10 +53,9 @@ def regularization(
     tol: Any = SolverOptions.tol, max_iter: Any = SolverOptions.max_iter, precision: Any = "auto",
 ) -> Goal:  # fmt: skip
     """Check blur or epsilon = blur^2, and reach or rho = reach^2; None is usual, or balanced."""
-    for value in (blur, reach):
-        # As other libraries are called; a pair of reaches is no array of measures.
-        if len(getattr(value, "shape", ())) > 1 or (value is blur and _has_axes(blur)):
-            raise InputError(OTHER_ORDER)
+    # As other libraries are called; a pair of reaches is no array of measures.
+    if _has_axes(blur) or len(getattr(reach, "shape", ())) > 1:
+        raise InputError(OTHER_ORDER)
     if epsilon is not None:
         _check_alone("blur", blur, "epsilon", epsilon)
         blur = _root("epsilon", epsilon, _check_blur)

@@ -18,10 +18,9 @@ from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.grid import are_grids
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import MeasureLike, Pair, as_pair
-from clmorph.transport._solver.checks import check_problem, choose_truncation, is_large
 from clmorph.transport._solver.iteration import SHORT, Iteration, Outcome
 from clmorph.transport._solver.multiscale import Multiscale
-from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.problem import Problem, check_problem, choose_truncation, is_large
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import AlgorithmOptions, Method, Precision, Reach, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials

@@ -18,8 +18,8 @@ from clmorph.backends.threads import results_in_order
 from clmorph.errors import InputError
 from clmorph.measures.points import Checked, MeasureLike, Pair, as_many, as_pair
 from clmorph.transport._solver.batch import NotFiniteError, problem_of_many
-from clmorph.transport._solver.checks import check_problem, is_large
 from clmorph.transport._solver.iteration import Iteration
+from clmorph.transport._solver.problem import check_problem, is_large
 from clmorph.transport._solver.softmin import overflow
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import AlgorithmOptions, Precision, Reach, SolverOptions

@@ -19,7 +19,7 @@ from clmorph.images.label_maps import MAX_LABELS, label_text
 from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.measures.points import as_pair
-from clmorph.transport._solver.checks import MASS_TOLERANCE, check_problem
+from clmorph.transport._solver.problem import MASS_TOLERANCE, check_problem
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.plan import Plan, plan_of_pairs

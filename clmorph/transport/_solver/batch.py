@@ -11,7 +11,7 @@ from clmorph.backends.interface import Operations
 from clmorph.measures.points import AnyMeasure, Pair
 from clmorph.transport._solver.problem import Problem, cost_across
 from clmorph.transport._solver.reductions import Segments
-from clmorph.transport._solver.softmin import Softmin, overflow
+from clmorph.transport._solver.softmin import Softmin
 
 
 class _Side(NamedTuple):
@@ -48,15 +48,6 @@ class NotFiniteError(Exception):
     def __init__(self, problem: int) -> None:
         super().__init__(problem)
         self.problem = problem
-
-
-def not_finite(problem: Problem, number: int) -> Exception:
-    """Return the error for one of many problems, or the only one, whose softmin overflowed."""
-    return (
-        NotFiniteError(int(problem.to_rows.numbers[number]))
-        if problem.of_rows.shape
-        else overflow("points")
-    )
 
 
 def _uploaded(

@@ -21,7 +21,7 @@ from clmorph.measures.points import (
     as_measures,
     dimension_of,
 )
-from clmorph.transport._solver.checks import check_problem
+from clmorph.transport._solver.problem import check_problem
 from clmorph.transport.barycenters.fixed_support import fixed_support
 from clmorph.transport.barycenters.free_support import free_support
 from clmorph.transport.barycenters.result import Barycenter, BarycenterProblem, Call
