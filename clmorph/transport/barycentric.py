@@ -142,11 +142,10 @@ def barycentric_plan(
     to_colors = None
     if isinstance(source, Measure) and isinstance(target, Measure):
         to_colors = destination_colors(source, target)
-    operations = get_backend(backend)
-    rows = RowsOfPlan(operations, pair, potentials).checked()
-    epsilon, precise = potentials.epsilon, potentials.precise
-    mean, covariance = operations.plan_moments(
-        *rows.clouds, potentials.g, rows.softmin, epsilon, precise, rows.near
+    rows = RowsOfPlan(get_backend(backend), pair, potentials).checked()
+    kind = potentials.epsilon, potentials.precise
+    mean, covariance = rows.operations.plan_moments(
+        *rows.clouds, potentials.g, rows.softmin, *kind, rows.near
     )
     return Barycentric(
         positions=mean[:, :2] if to_colors else mean,

@@ -28,7 +28,7 @@ from clmorph.transport.gradient import Gradient, divergence_gradient
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Goal, refuses_other_order, regularization
-from clmorph.transport.sinkhorn import sinkhorn, solve, warn_unless_converged
+from clmorph.transport.sinkhorn import solve, warn_unless_converged
 
 #: The problem between two measures is solved further if the gap of its values is more than this
 #: share of the divergence's upper bound.
@@ -231,10 +231,9 @@ def sinkhorn_divergence(
     if are_equal(*pair):
         cross = parts[0]
     elif cross is None:
-        cross = sinkhorn(
-            *pair, tol=tol, max_iter=max_iter, backend=operations, epsilon=goal.epsilon,
-            rho=goal.rho[0], precision=precision, progress=lambda share: report(0.3 + 0.7 * share),
-        )  # fmt: skip
+        found = solve(operations, pair, goal, lambda share: report(0.3 + 0.7 * share), keep=True)
+        cross = replace(found, measures=pair)
+        warn_unless_converged(cross.status, cross.message, 4)
     result = combined(cross, *parts)
     smaller = further_tol(result, goal.tol)
     if smaller is not None and not known:
@@ -242,8 +241,8 @@ def sinkhorn_divergence(
         cross = replace(better(cross, further, goal.tol), measures=pair)
         result = combined(cross, *parts)
     if gradient:
-        found = divergence_gradient(pair, cross, (parts[0], parts[1]), operations)
-        result = replace(result, gradient=found)
+        slope = divergence_gradient(pair, cross, (parts[0], parts[1]), operations)
+        result = replace(result, gradient=slope)
     report(1.0)
     return result
 

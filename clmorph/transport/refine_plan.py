@@ -35,14 +35,11 @@ def refined(
         columns, there = _at_place(target, j, place, side)
         pairs = np.flatnonzero(inside | there)
         parts.append((pairs, rows[pairs], columns[pairs]))
-    weights = [a[rows] * b[columns] for _, rows, columns in parts]
-    whole = sum(
-        np.bincount(pairs, weight, len(plan))
-        for (pairs, _, _), weight in zip(parts, weights, strict=True)
-    )
     pairs, rows, columns = (np.concatenate(values) for values in zip(*parts, strict=True))
+    weights = a[rows] * b[columns]
+    whole = np.bincount(pairs, weights, len(plan))
     per_pair = np.divide(plan.mass, whole, out=np.zeros(len(plan)), where=whole > 0)
-    mass = np.concatenate(weights) * per_pair[pairs]
+    mass = weights * per_pair[pairs]
     # If no place has mass in both blocks, the heaviest pixels represent the blocks.
     lone = np.flatnonzero(whole == 0)
     rows = np.concatenate((rows, source.heaviest[i[lone]]))

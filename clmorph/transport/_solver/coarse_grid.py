@@ -90,21 +90,14 @@ class CorrectedProblem(Problem):
         return [side._replace(left_out=0.0) for side in sides]
 
 
-class Reordering:
-    """The restriction to a coarse problem that has the points in another order, (N,)."""
+class Reordering(NamedTuple):
+    """The restriction to a coarse problem that has the points in another order."""
 
-    def __init__(self, order: IntArray) -> None:
-        self._order = order
+    order: IntArray
 
     def restrict(self, values: Array, weights: Array) -> Array:
         """Return the values in the coarse problem's order."""
-        return values[self._order]
-
-    def points_of(self, values: Array) -> Array:
-        """Return values of the coarse problem in the order of the points."""
-        result = np.empty_like(values)
-        result[self._order] = values
-        return result
+        return values[self.order]
 
 
 class CoarseGrid(NamedTuple):
@@ -118,7 +111,9 @@ class CoarseGrid(NamedTuple):
     def prolong(self, new_f: Array, old_f: Array, epsilon: float) -> Array:
         """Return the change of T(f) at the points of the target, (M,), from f of the grid."""
         change: Array = self.to_target(new_f, epsilon) - self.to_target(old_f, epsilon)
-        return self.target.points_of(change) if isinstance(self.target, Reordering) else change
+        if isinstance(self.target, Reordering):
+            change[self.target.order] = change.copy()
+        return change
 
 
 def expanded(

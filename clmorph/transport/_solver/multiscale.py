@@ -121,11 +121,10 @@ class Multiscale(Outcome):
         """Return the problem of the clusters, if cycles correct it, and first potentials g."""
         clusters = self._choose_clusters()
         if clusters is None:
-            g = start
-            if g is None:
-                g = anneal(self.problem, self._pair, self.problem, self.goal)
+            if start is None:
+                start = anneal(self.problem, self._pair, self.problem, self.goal)
             prepare(self.problem, LEAST_RESERVE)
-            return None, g
+            return None, start
         grid = self._clusters_grid(*clusters)
         sizes = zip(clusters, self._pair, strict=True)
         share = np.prod([len(own.measure) / len(points) for own, points in sizes])
