@@ -221,9 +221,9 @@ def _refined(field: Array, axes: list[Array], source: Measure) -> Array:
     """Interpolate a field of positions to all pixels."""
     from scipy.interpolate import RectBivariateSpline
 
-    places = [np.linspace(axes[k][0], axes[k][-1], source.shape[k]) for k in (0, 1)]
-    parts = [RectBivariateSpline(*axes, field[..., k])(*places) for k in (0, 1)]
-    return np.stack(parts, axis=-1)
+    rows, columns = (np.linspace(axes[k][0], axes[k][-1], source.shape[k]) for k in (0, 1))
+    splines = [RectBivariateSpline(axes[0], axes[1], field[..., k]) for k in (0, 1)]
+    return np.stack([spline(rows, columns) for spline in splines], axis=-1)
 
 
 def _border(base: _Base, frame: tuple[Array, Array], marks: Array, ends: Array) -> Array:

@@ -132,11 +132,12 @@ class Problem:
 
     def with_truncation(self, truncation: float | None) -> "Problem":
         """Return this problem with its clouds; its softmins choose near pairs of their own."""
-        softmins = [
+        one, other = (
             Softmin(self.operations, of.rows, of.columns, of.weights, truncation)
             for of in self.softmins
-        ]
-        return Problem(*softmins, self.rho, self.largest_cost, self.reductions, self.oscillations)
+        )
+        same = self.rho, self.largest_cost, self.reductions, self.oscillations
+        return Problem(one, other, *same)
 
     def _weigh(self) -> None:
         """Compute what follows from the masses."""
