@@ -127,16 +127,10 @@ def _in_turn(
     # The remainder of the level selects one of the places that a pixel covers in a larger block.
     inner = np.clip((owner + level - ends[found]) / np.maximum(share[found], 1e-12) + 1, 0, 1)
     pixels = order[found]
-    row, column = np.divmod(pixels, blocks.fine.shape[1])
+    inside = np.stack(np.divmod(pixels, blocks.fine.shape[1])) % blocks.side
     per_pixel = finest // blocks.side
     sub = np.minimum((inner * per_pixel**2).astype(np.int64), per_pixel**2 - 1)
-    place = np.stack(
-        (
-            row % blocks.side * per_pixel + sub // per_pixel,
-            column % blocks.side * per_pixel + sub % per_pixel,
-        )
-    )
-    return pixels, place
+    return pixels, inside * per_pixel + np.stack(np.divmod(sub, per_pixel))
 
 
 def _at_place(
