@@ -99,6 +99,12 @@ class Reordering(NamedTuple):
         """Return the values in the coarse problem's order."""
         return values[self.order]
 
+    def points_of(self, values: Array) -> Array:
+        """Return values of the coarse problem in the order of the points."""
+        result = np.empty_like(values)
+        result[self.order] = values
+        return result
+
 
 class CoarseGrid(NamedTuple):
     """A coarse problem, with the operators that transfer values between it and the points."""
@@ -111,9 +117,7 @@ class CoarseGrid(NamedTuple):
     def prolong(self, new_f: Array, old_f: Array, epsilon: float) -> Array:
         """Return the change of T(f) at the points of the target, (M,), from f of the grid."""
         change: Array = self.to_target(new_f, epsilon) - self.to_target(old_f, epsilon)
-        if isinstance(self.target, Reordering):
-            change[self.target.order] = change.copy()
-        return change
+        return self.target.points_of(change) if isinstance(self.target, Reordering) else change
 
 
 def expanded(

@@ -76,5 +76,5 @@ def solve_symmetric(problem: Problem, goal: Goal, report: Progress) -> Iteration
     """Return the solves of one or many measures with themselves."""
     problem.to_columns = problem.to_rows
     # Each iteration halves the residual unless it consists of rounding.
-    kind: Any = {"patience": 1, "steps": SymmetricSteps, "softmins": 1}
-    return Iteration(problem, goal, report, **kind).run(np.zeros(len(problem.a)))
+    iteration = Iteration(problem, goal, report, patience=1, steps=SymmetricSteps, softmins=1)
+    return iteration.run(np.zeros(len(problem.a)))
