@@ -32,7 +32,7 @@ from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations
 from clmorph.transport._solver.batch import problem_of_many
 from clmorph.transport._solver.coarse_grid import STORED_CHOICES, stored_grid
-from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.problem import Problem, State
 from clmorph.transport._solver.steps import Steps, new_steps
 
 #: Points of a tile on the simulator: of smaller ones few points fill several.
@@ -99,7 +99,7 @@ def iterated_over_stored(
     g = np.zeros(m)
     f, g, t_rows, _ = problem.half_step(0, g, problem.softmin(0, g, epsilon, False), epsilon)
     softmins = t_rows, problem.softmin(1, f, epsilon, False)
-    grid = stored_grid(problem, f, g, softmins, epsilon, n * m, STORED_CHOICES)
+    grid = stored_grid(problem, State(f, g, *softmins, np.inf), epsilon, n * m, STORED_CHOICES)
     assert grid is not None
     grid.problem.center = grid.source.restrict(f, problem.a)
     corrections = [

@@ -15,7 +15,6 @@ from clmorph.adapters._losses import (
 )
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
-from clmorph.transport._solver.checks import check_solver_options
 from clmorph.transport.divergence import one_regularization
 from clmorph.transport.options import SolverOptions
 
@@ -93,8 +92,7 @@ def sinkhorn_divergence(
         raise InputError("a, x, b, y: expected arrays of floats") from None
     check_shapes(*(each.shape for each in arrays))
     # What JAX would report as its own error is found here where it can be.
-    one_regularization(blur, reach, epsilon, rho)
-    check_solver_options(tol, max_iter)
+    one_regularization(blur, reach, epsilon, rho, tol, max_iter)
     get_backend(backend)
     options = {"blur": blur, "reach": reach, "tol": tol, "max_iter": max_iter,
                "backend": backend, "epsilon": epsilon, "rho": rho}  # fmt: skip

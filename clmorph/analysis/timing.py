@@ -17,7 +17,7 @@ from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.budget import part_of
 from clmorph.pipeline.film import picture_of
-from clmorph.transport._solver.plan_softmin import clouds_of
+from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport._solver.problem import uploaded
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
@@ -73,7 +73,7 @@ def fill_seconds(
     rng = np.random.default_rng(0)
     chosen = np.sort(rng.choice(massive, min(count, len(massive)), replace=False))
     some = part_of(whole[0], chosen)
-    rows, columns = uploaded(operations, some), clouds_of(operations, whole, potentials)[1]
+    rows, columns = uploaded(operations, some), RowsOfPlan(operations, whole, potentials).clouds[1]
     f, g, epsilon = potentials.f[chosen], potentials.g, potentials.epsilon
     thresholds = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon
     thresholds += np.log(some.weights * 1e-4)

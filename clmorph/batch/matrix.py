@@ -13,15 +13,14 @@ from clmorph._shared.validation import check_integer, errors_about
 from clmorph.backends.select import get_backend
 from clmorph.batch.extra import TURN, check_client, check_device, on_workers
 from clmorph.errors import ConvergenceWarning
-from clmorph.measures.points import AnyMeasure, as_many, as_pair
-from clmorph.transport._solver.checks import check_solver_options
+from clmorph.measures.points import AnyMeasure, Pair, as_many, as_pair
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.divergence import check_symmetric, combined, one_regularization
-from clmorph.transport.divergence_batch import solve_further
+from clmorph.transport.divergence_batch import solve_divergences
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import Regularization
-from clmorph.transport.sinkhorn_batch import MeasuresLike, solve_many
+from clmorph.transport.regularization import Goal
+from clmorph.transport.sinkhorn_batch import MeasuresLike
 
 #: Measures along a side of a block.
 BLOCK = 16
@@ -85,13 +84,12 @@ def divergence_matrix(
     ...     print("a client is needed")
     a client is needed
     """
-    given = one_regularization(blur, reach, epsilon, rho)
-    tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
+    goal = one_regularization(blur, reach, epsilon, rho, tol, max_iter, precision)
     side = check_integer("block", block, 1, 1024)
     check_device(backend)
     own = _checked(as_many("measures", measures))
     check_client(client)
-    solver = given, tol, max_iter, precision, backend
+    solver = goal, backend
     values = np.zeros((len(own), len(own)))
     if not own:
         return values
@@ -120,7 +118,8 @@ def divergence_matrix(
     if missed:
         warnings.warn(
             ConvergenceWarning(
-                f"{missed} problems did not reach tol={tol:g} in max_iter={max_iter} iterations"
+                f"{missed} problems did not reach tol={goal.tol:g} in max_iter={goal.max_iter} "
+                "iterations"
             ),
             stacklevel=2,
         )
@@ -139,29 +138,25 @@ def _checked(measures: list[Any]) -> list[AnyMeasure]:
 
 
 def _solve_selves(
-    group: list[AnyMeasure], start: int, solver: tuple[Any, ...]
+    group: list[AnyMeasure], start: int, solver: tuple[Goal, str]
 ) -> tuple[list[Potentials], int]:
     """Return the potentials of each measure with itself, and how many missed the tolerance."""
     return _solve([(each, each) for each in group], lambda k: f"measure {start + k}", solver)
 
 
 def _solve(
-    pairs: list[tuple[AnyMeasure, AnyMeasure]],
+    pairs: list[Pair],
     name: Any,
-    solver: tuple[Any, ...],
+    solver: tuple[Goal, str],
     selves: Sequence[tuple[Potentials, Potentials]] = (),
 ) -> tuple[list[Potentials], int]:
-    given, tol, max_iter, precision, backend = solver
+    goal, backend = solver
     if not pairs:
         return [], 0
     with TURN:
         operations = get_backend(backend)
-        found = solve_many(
-            pairs, given, tol, max_iter, operations, precision, lambda share: None, name
-        )
-        options = given, tol, max_iter, operations, precision, name
-        solve_further(found, dict(enumerate(selves)), pairs, *options)
-        solved = list(found)
+        own = dict(enumerate(selves))
+        solved = list(solve_divergences(pairs, own, goal, operations, lambda share: None, name))
     return solved, sum(not each.converged for each in solved)
 
 
@@ -171,10 +166,9 @@ def _solve_block(
     of_rows: tuple[list[Potentials], int],
     of_columns: tuple[list[Potentials], int],
     starts: tuple[int, int],
-    solver: tuple[Any, ...],
+    solver: tuple[Goal, str],
 ) -> tuple[Array, int]:
     """Return the divergences of a block, and how many problems missed the tolerance."""
-    given: Regularization = solver[0]
     on_diagonal = starts[0] == starts[1]
     places = [
         (i, j)
@@ -191,7 +185,7 @@ def _solve_block(
     solved, missed = _solve([(rows[i], columns[j]) for i, j in places], name, solver, selves)
     values = np.zeros((len(rows), len(columns)))
     for (i, j), cross in zip(places, solved, strict=True):
-        values[i, j] = combined(cross, of_rows[0][i], of_columns[0][j], given).value
+        values[i, j] = combined(cross, of_rows[0][i], of_columns[0][j]).value
         if on_diagonal:
             values[j, i] = values[i, j]
     return values, missed + (of_rows[1] if on_diagonal else 0)

@@ -179,7 +179,7 @@ def cells_of_plan(
         if clear:
             destinations = np.column_stack((destinations, blocks[0].points[:, -1]))
         destinations = destinations[taken[0]]
-    pairs = assign(*points, destinations=destinations, least_gain=LEAST_GAIN, seed=seed).permutation
+    pairs = assign(*points, destinations=destinations, least_gain=LEAST_GAIN, seed=seed)
     unlike = np.square(points[0][:, 2:] - points[1][pairs, 2:]).sum(axis=1)
     ranks = np.empty(count)
     ranks[np.argsort(unlike, kind="stable")] = (np.arange(count) + 0.5) / count

@@ -1,7 +1,6 @@
 """Clusters of nearby points of a measure, which form a coarser measure."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +28,7 @@ class Clusters(NamedTuple):
 
     def restrict(self, values: Array, weights: Array) -> Array:
         """Return the mean of values (N,) over each cluster, by mass (multigrid's restriction)."""
-        return _means(self.labels, len(self.measure), values[:, None], weights)[:, 0]
+        return means_over(self.labels, len(self.measure), weights)(values[:, None])[:, 0]
 
 
 def make_clusters(measure: AnyMeasure, side: float) -> Clusters:
@@ -56,7 +55,8 @@ def label_cubes(points: Array, side: float) -> tuple[NDArray[np.intp], int]:
 def join_points(measure: AnyMeasure, labels: NDArray[np.intp], count: int) -> Clusters:
     """Return the points of a measure joined into clusters by their labels below `count`."""
     offsets = np.zeros(len(labels)) if measure.offsets is None else measure.offsets
-    means = _means(labels, count, np.column_stack((measure.points, offsets)), measure.weights)
+    mean = means_over(labels, count, measure.weights)
+    means = mean(np.column_stack((measure.points, offsets)))
     masses = np.bincount(labels, measure.weights, count).astype(float)
     whole = WeightedPoints(
         means[:, :-1], masses, None if measure.offsets is None else means[:, -1].copy()
@@ -73,12 +73,14 @@ def _consecutive(labels: NDArray[np.int64], size: int) -> tuple[NDArray[np.intp]
     return labels, len(kept)
 
 
-def _means(labels: NDArray[np.intp], count: int, values: Array, weights: Array) -> Array:
-    """Return means of (N, k) values over clusters, weighted by mass if a cluster has mass."""
+def means_over(labels: NDArray[np.intp], count: int, weights: Array) -> Callable[[Array], Array]:
+    """Return the means of (N, k) values over clusters, weighted by mass if a cluster has mass."""
     masses = np.bincount(labels, weights, count)
     share = np.divide(weights, masses[labels], out=np.zeros(len(labels)), where=weights > 0)
     empty = masses <= 0
     if empty.any():
         sizes = np.bincount(labels, minlength=count)
         share = np.where(empty[labels], 1.0 / sizes[labels], share)
-    return np.column_stack([np.bincount(labels, share * column, count) for column in values.T])
+    return lambda values: np.column_stack(
+        [np.bincount(labels, share * column, count) for column in values.T]
+    )

@@ -1,7 +1,5 @@
 """Features: further coordinates of the cost, such as depth or what a network sees."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -144,9 +144,9 @@ class Grid:
         found = as_floats("masses", masses, "a mass for each cell")
         if found.shape not in (self.shape, (len(self),)):
             raise InputError(f"masses have shape {found.shape}: expected {self.shape}")
-        return _checked(
-            "masses", replace(self, masses=_inside(found.reshape(self.shape), self.mask))
-        )
+        found = found.reshape(self.shape)
+        inside = found if self.mask is None else np.where(self.mask, found, 0.0)
+        return _checked("masses", replace(self, masses=inside))
 
 
 def grid_measure(
@@ -238,10 +238,11 @@ def grid_measure(
                 "order; use mask.transpose(*values.dims)"
             )
         chosen = np.array(chosen, bool)
+        masses = np.where(chosen, masses, 0.0)
     if not isinstance(axes, list | tuple):
         raise InputError(f"axes={shown(axes)}: expected a list of arrays, one for each axis")
     found = tuple(as_floats(f"axes[{k}]", axis, "coordinates") for k, axis in enumerate(axes))
-    return _checked("values", Grid(_inside(masses, chosen), found, chosen))
+    return _checked("values", Grid(masses, found, chosen))
 
 
 def _coordinates(values: Any, dim: Any, n: int) -> AnyArray:
@@ -268,11 +269,6 @@ def _each(name: str, given: Any, count: int, default: float) -> list[float]:
             f"{name}={shown(given)}: expected a finite number, or one for each of {count} axes"
         )
     return [float(each) for each in found]
-
-
-def _inside(masses: Array, mask: BoolArray | None) -> Array:
-    """Return masses with 0 outside of a mask."""
-    return masses if mask is None else np.where(mask, masses, 0.0)
 
 
 def _checked(name: str, grid: Grid) -> Grid:

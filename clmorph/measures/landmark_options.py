@@ -66,7 +66,7 @@ def is_for_several(value: Any) -> bool:
 
 def check_landmarks(name: str, value: Any) -> tuple[tuple[Point, Point], ...]:
     """Return landmarks, pairs ((x, y), (x', y')), as tuples of finite numbers."""
-    found = []
+    found: list[Any] = []
     rows = _parts(value)
     for k, row in enumerate(rows if rows is not None else [None]):
         ends = [_parts(end) or [] for end in _parts(row) or []]
@@ -78,7 +78,7 @@ def check_landmarks(name: str, value: Any) -> tuple[tuple[Point, Point], ...]:
         if not usable:
             which = "" if rows is None else f", entry {k + 1}"
             raise InputError(f"{name}={shown(value)}{which}: expected {_EXPECTED}")
-        found.append((_point(numbers[0]), _point(numbers[1])))
+        found.append(tuple((x, y) for x, y in numbers))
     if len(found) > MAX_LANDMARKS:
         raise InputError(f"{name}: {len(found)} pairs; expected at most {MAX_LANDMARKS}")
     return tuple(found)
@@ -89,10 +89,6 @@ def _parts(value: Any) -> list[Any] | None:
     if isinstance(value, np.ndarray):
         value = value.tolist()
     return list(value) if isinstance(value, list | tuple) else None
-
-
-def _point(numbers: Any) -> Point:
-    return float(numbers[0]), float(numbers[1])
 
 
 def read_landmarks(text: str) -> Any:

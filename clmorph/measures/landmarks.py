@@ -13,8 +13,6 @@ a function of the position z in the target's frame: it costs nothing along T and
 way past a landmark longer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -67,30 +65,21 @@ def guided(
             "landmarks cannot be combined with a color_metric for each pixel: give one metric for "
             "all pixels, or no landmarks"
         )
-    sides = _sides(landmarks, source, target, shapes)
-    warped, areas, missed = warp(*sides, source, target)
+    pairs = np.asarray(landmarks, float).reshape(-1, 2, 2)
+    shapes = shapes or (source.shape, target.shape)
+    starts = _in_frame(pairs[:, 0], source, shapes[0], "a")
+    ends = _in_frame(pairs[:, 1], target, shapes[1], "b")
+    warped, areas, missed = warp(starts, ends, source, target)
     masses = source.weights * areas
     total = masses.sum()
-    channels = _channels(sides[1], MAX_LIFTED - source.points.shape[1])
+    channels = _channels(ends, MAX_LIFTED - source.points.shape[1])
     radius = bump_radius(source, target)
     moved = replace(source, warped=warped, weights=masses * (source.mass / total))
     return Guided(
-        with_more(moved, _bumps(warped, sides[1], channels, radius)),
-        with_more(target, _bumps(target.positions, sides[1], channels, radius)),
-        missed * max(shapes[1] if shapes else target.shape),
+        with_more(moved, _bumps(warped, ends, channels, radius)),
+        with_more(target, _bumps(target.positions, ends, channels, radius)),
+        missed * max(shapes[1]),
     )
-
-
-def _sides(
-    landmarks: Landmarks, source: Measure, target: Measure, shapes: Sequence[tuple[int, int]] | None
-) -> tuple[Array, Array]:
-    """Return the places of landmarks in the frames of both measures: (n, 2) arrays."""
-    pairs = np.asarray(landmarks, float).reshape(-1, 2, 2)
-    one, other = (
-        _in_frame(pairs[:, side], measure, shapes[side] if shapes else measure.shape, "ab"[side])
-        for side, measure in enumerate((source, target))
-    )
-    return one, other
 
 
 def _in_frame(pixels: Array, measure: Measure, shape: tuple[int, int], which: str) -> Array:

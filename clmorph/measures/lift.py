@@ -107,7 +107,6 @@ def lift(
     LiftOptions.checked("extent", extent)
     LiftOptions.checked("mass", mass)
     shape = (colors.shape[0], colors.shape[1])
-    n = shape[0] * shape[1]
     if weights is None:
         masses = _masses(colors, alpha, mass)
     else:
@@ -118,7 +117,7 @@ def lift(
             masses *= alpha
         masses = masses.ravel()
         check_masses("weights", masses)
-    colors = colors.reshape(n, 3)
+    colors = colors.reshape(-1, 3)
     to_space(colors[:1], color_space)  # raises an error if there is no such space
     return Measure(
         positions=pixel_positions(shape, extent),

@@ -16,8 +16,6 @@ from clmorph.measures.options import LiftOptions
 
 #: Coordinates that may lie far outside [0, 1].
 FAR = ("positions", "warped", "features")
-#: Placement of pixels in the common frame: "true" keeps the aspect ratio, "unit" stretches each
-#: axis to [0, 1].
 
 
 @dataclass(frozen=True, repr=False, eq=False)

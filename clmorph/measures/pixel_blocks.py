@@ -1,13 +1,12 @@
 """Square blocks of pixels: an image at the resolution at which its transport is solved."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
 from clmorph.errors import InputError
+from clmorph.measures.cluster import means_over
 from clmorph.measures.measure import Measure
 
 
@@ -18,7 +17,7 @@ class PixelBlocks:
     #: The pixels.
     fine: Measure
     #: The blocks: each has the mass of its pixels, and their mean position and mean color, weighted
-    #: by mass.
+    #: by mass if there is some.
     coarse: Measure
     #: Pixels along a block, a power of two; there can be fewer at the right and lower border.
     side: int
@@ -71,14 +70,7 @@ def group_pixels(measure: Measure, size: int | None) -> PixelBlocks:
     height, width = (-(-length // side) for length in measure.shape)
     count = height * width
     mass = np.asarray(np.bincount(owners, measure.weights, count), float)
-    # A block without mass has the unweighted mean position and mean color of its pixels.
-    even = np.bincount(owners, minlength=count)
-    shares = np.where(mass[owners] > 0, measure.weights, 1.0)
-    shares = shares / np.where(mass > 0, mass, even)[owners]
-
-    def mean(values: Array) -> Array:
-        return np.column_stack([np.bincount(owners, shares * axis, count) for axis in values.T])
-
+    mean = means_over(owners, count, measure.weights)
     coarse = Measure(
         mean(measure.positions), np.clip(mean(measure.colors), 0.0, 1.0), mass, (height, width),
         measure.color_weight, measure.extent, measure.color_space, measure.color_metric,

@@ -62,12 +62,14 @@ class WeightedPoints:
 
 #: The kinds of measure that the solver takes.
 AnyMeasure = Measure | WeightedPoints | Grid
+#: The source and the target of a problem.
+Pair = tuple[AnyMeasure, AnyMeasure]
 #: Argument of the public functions: a measure, (weights (N,), points (N, D) or (N,)), or points
 #: alone, an array, whose weights are then 1 / N.
 MeasureLike = AnyMeasure | tuple[ArrayLike, ArrayLike] | ArrayLike
 
 
-def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
+def as_pair(source: Any, target: Any) -> Pair:
     """Return two measures with points in one space.
 
     Their cost is C_ij = |X_i - Y_j|^2 / 2 (paper, Eq. 1 with the factor 1/2), plus the offsets r_i
@@ -79,7 +81,7 @@ def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
     return pair
 
 
-def as_measures(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
+def as_measures(source: Any, target: Any) -> Pair:
     """Return two checked measures that can be compared, without the lift of `as_pair`."""
     pair = as_measure("source", source), as_measure("target", target)
     if isinstance(pair[0], Measure) and isinstance(pair[1], Measure):
@@ -159,8 +161,10 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
         return check_grid(name, value)
     if isinstance(value, WeightedPoints):
         made = _weighted_points(name, value.weights, value.points, value.offsets)
-        ours = (value.weights, value.points, value.offsets)
-        return value if all(map(_is_plain, ours)) else made
+        ours = [each for each in (value.weights, value.points, value.offsets) if each is not None]
+        # The solver can use such arrays without conversion.
+        plain = all(type(each) is np.ndarray and each.dtype == np.float64 for each in ours)
+        return value if plain else made
     shape = getattr(value, "shape", None)
     # Some libraries have a type of their own for shapes.
     sides = tuple(shape) if isinstance(shape, Iterable) else None
@@ -185,11 +189,6 @@ def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Meas
         )
     check_measure(name, value)
     return value
-
-
-def _is_plain(array: Any) -> bool:
-    """Return whether the solver can use an array without conversion."""
-    return array is None or (type(array) is np.ndarray and array.dtype == np.float64)
 
 
 #: In place of weights: 1 / N for each point.
@@ -244,7 +243,7 @@ def as_many(name: str, value: Any) -> list[Any]:
     """Return measures, or what is given for each; stacked arrays become a `Checked` list."""
     if isinstance(value, tuple) and len(value) == 2 and all(map(_is_array, value)):
         return _unstacked(name, *value)
-    foreign = isinstance(value, str | bytes | Mapping | Measure | WeightedPoints | Grid)
+    foreign = isinstance(value, str | bytes | Mapping | AnyMeasure)
     if foreign or _is_array(value) or not isinstance(value, Iterable):
         raise InputError(f"{name} is a {type(value).__name__}: expected {_EXPECTED}")
     try:
@@ -256,7 +255,7 @@ def as_many(name: str, value: Any) -> list[Any]:
 
 
 def _is_array(value: Any) -> bool:
-    return hasattr(value, "shape") and not isinstance(value, Measure | WeightedPoints | Grid)
+    return hasattr(value, "shape") and not isinstance(value, AnyMeasure)
 
 
 def _unstacked(name: str, weights: Any, points: Any) -> Checked:

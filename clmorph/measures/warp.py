@@ -14,8 +14,6 @@ more, so that they miss landmarks. One landmark gives a shift, and two a similar
 Landmarks contradict each other if their order is reversed from one picture to the other.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -80,10 +78,13 @@ def warp(starts: Array, ends: Array, source: Measure, target: Measure) -> Warp:
 
     They are in the frames of source and target; those that contradict each other are refused.
     """
-    frames = [corners(measure) for measure in (source, target)]
     _check_order(starts, ends)
     fitted = _fitted(starts, ends)
-    bases = [fitted] if len(starts) < 3 else [_of_frames(*frames), fitted]
+    bases = [fitted]
+    if len(starts) > 2:  # one frame is mapped onto the other
+        (low, high), (new_low, new_high) = corners(source), corners(target)
+        scale = (new_high - new_low) / (high - low)
+        bases.insert(0, _Base(np.diag(scale), new_low - low * scale))
     for smoothing in SMOOTHING:
         for base in bases:
             try:
@@ -102,12 +103,6 @@ def warp(starts: Array, ends: Array, source: Measure, target: Measure) -> Warp:
 def corners(measure: Measure) -> tuple[Array, Array]:
     """Return the least and the largest coordinates of a measure's positions."""
     return measure.positions.min(axis=0), measure.positions.max(axis=0)
-
-
-def _of_frames(source: tuple[Array, Array], target: tuple[Array, Array]) -> _Base:
-    """Return the map of one frame onto the other."""
-    scale = (target[1] - target[0]) / (source[1] - source[0])
-    return _Base(np.diag(scale), target[0] - source[0] * scale)
 
 
 def _fitted(starts: Array, ends: Array) -> _Base:
@@ -226,14 +221,9 @@ def _refined(field: Array, axes: list[Array], source: Measure) -> Array:
     """Interpolate a field of positions to all pixels."""
     from scipy.interpolate import RectBivariateSpline
 
-    rows, columns = (
-        np.linspace(axis[0], axis[-1], count)
-        for axis, count in zip(axes, source.shape, strict=True)
-    )
-    return np.stack(
-        [RectBivariateSpline(axes[0], axes[1], field[..., k])(rows, columns) for k in (0, 1)],
-        axis=-1,
-    )
+    rows, columns = (np.linspace(axes[k][0], axes[k][-1], source.shape[k]) for k in (0, 1))
+    splines = [RectBivariateSpline(axes[0], axes[1], field[..., k]) for k in (0, 1)]
+    return np.stack([spline(rows, columns) for spline in splines], axis=-1)
 
 
 def _border(base: _Base, frame: tuple[Array, Array], marks: Array, ends: Array) -> Array:

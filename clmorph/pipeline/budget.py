@@ -19,7 +19,7 @@ from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
 from clmorph.pipeline.memory import Memory, estimate, most_particles
-from clmorph.transport._solver.plan_softmin import clouds_of
+from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport._solver.problem import uploaded
 from clmorph.transport.barycentric import Barycentric, barycentric_plan
 from clmorph.transport.options import MAX_DRAWS, PruningOptions
@@ -252,7 +252,7 @@ def predict_pairs(
     source, target = as_pair(source, target)
     rng = np.random.default_rng(seed)
     operations = get_backend(backend)
-    clouds = clouds_of(operations, (source, target), potentials)
+    clouds = RowsOfPlan(operations, (source, target), potentials).clouds
     sides = [
         _Side(operations, cloud, measure, potential, rows, rng)
         for cloud, measure, potential in zip(

@@ -12,7 +12,7 @@ from clmorph._shared.progress import Report
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.measures.cluster import make_clusters
-from clmorph.measures.points import AnyMeasure, WeightedPoints
+from clmorph.measures.points import Pair, WeightedPoints
 from clmorph.transport.entropic_map import entropic_map
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.sinkhorn import sinkhorn
@@ -85,7 +85,7 @@ def color_map(
 
 def _steps(
     nodes: Array,
-    measures: tuple[AnyMeasure, AnyMeasure],
+    measures: Pair,
     solved: tuple[Potentials, Potentials],
     operations: Operations,
 ) -> Array:

@@ -196,8 +196,8 @@ class ImagePair:
         labels = self.maps.labels_of(whole, self.given_shapes)
         if labels is None:
             return [Subproblem(*blocks)]
-        given = regularization(options.blur, options.reach, options.epsilon, options.rho)
-        return by_label(*whole, labels, options.solve_size, given)
+        goal = regularization(**options.of(SolverOptions))
+        return by_label(*whole, labels, options.solve_size, goal)
 
     def labels(self, source: Measure, target: Measure) -> tuple[IntArray, IntArray] | None:
         """Return the labels of the pixels, (N,) and (M,); None if there are none."""
@@ -219,10 +219,8 @@ class ImagePair:
                 **options.of(SolverOptions),
             )  # fmt: skip
             return [found], found
-        given = regularization(options.blur, options.reach, options.epsilon, options.rho)
-        solved, whole = solve_parts(
-            parts, masses, given, options.tol, options.max_iter, operations, report
-        )
+        goal = regularization(**options.of(SolverOptions))
+        solved, whole = solve_parts(parts, masses, goal, operations, report)
         warn_unless_converged(whole.status, whole.message, 5)
         return solved, whole
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.progress import StageProgress
-from clmorph._shared.typing import AnyArray, Array, ArrayLike
+from clmorph._shared.typing import AnyArray, Array, ArrayLike, Progress
 from clmorph._shared.validation import check_number, check_progress
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
@@ -24,7 +24,7 @@ from clmorph.images.pixels import fit, split_alpha
 from clmorph.images.resizing import as_unit, resized
 from clmorph.measures.lift import lift
 from clmorph.measures.measure import Measure
-from clmorph.measures.pixel_blocks import group_pixels
+from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.output.playback import eased
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.film import Film, picture_of
@@ -32,12 +32,14 @@ from clmorph.pipeline.keywords import RearrangeKeywords
 from clmorph.pipeline.prepare import as_images
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recipe import recipe
-from clmorph.transport.assignment_search import plan_search, solved
-from clmorph.transport.block_potentials import transport_pixels
+from clmorph.transport._solver.softmin import Softmin
+from clmorph.transport.assignment_search import solved
 from clmorph.transport.matching import warn_unless_reached
 from clmorph.transport.pair_costs import Costs, Indices
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
+from clmorph.transport.regularization import Goal, regularization
+from clmorph.transport.sinkhorn import solve
 
 #: Length scale of the entropic plan from which the search begins, and its tolerance.
 BLUR, TOLERANCE = 0.025, 0.5
@@ -243,16 +245,12 @@ def arranged(
     operations = get_backend(backend)
     report("transport", 0.0)
     blocks = group_pixels(source, SOLVE_SIZE), group_pixels(target, SOLVE_SIZE)
-    blur = BLUR * max(1.0, options.color_weight / LARGE_WEIGHT)
-    found = transport_pixels(
-        *blocks, blur, TOLERANCE, operations, lambda share: report("transport", share)
-    )
-    potentials = found.potentials
+    goal = regularization(BLUR * max(1.0, options.color_weight / LARGE_WEIGHT), tol=TOLERANCE)
+    potentials = _potentials(*blocks, goal, operations, lambda share: report("transport", share))
     costs, epsilon = Costs(source.points, target.points), potentials.epsilon
     solution = solved(
         costs, potentials.g, epsilon, options.gap, options.seed,
-        lambda share: report("pixels", share),
-        plans=plan_search(costs, epsilon, options.gap, operations, options.seed),
+        lambda share: report("pixels", share), operations=operations,
     )  # fmt: skip
     warn_unless_reached(solution, options.gap)
     assignment, n_pixels = solution.columns, len(source)
@@ -267,6 +265,23 @@ def arranged(
         eased(np.linspace(0.0, 1.0, options.n_frames), options.ease),
         KernelWidth(SIGMA, SIGMA, 0.0, n, n, "fixed"), operations, options,
     )  # fmt: skip
+
+
+def _potentials(
+    source: PixelBlocks, target: PixelBlocks, goal: Goal, operations: Operations, report: Progress
+) -> Potentials:
+    """Solve between blocks, and extend the potentials to the pixels by one softmin each."""
+    found = solve(operations, (source.coarse, target.coarse), goal, report)
+
+    def extended(own: PixelBlocks, other: PixelBlocks, f: Array, g: Array) -> Array:
+        rows, columns = (operations.upload(m.points, m.weights) for m in (own.fine, other.coarse))
+        weights = own.fine.weights, other.coarse.weights
+        softmin = Softmin(operations, rows, columns, weights, found.truncation)
+        softmin.guess = f[own.owners]
+        return softmin(g, found.epsilon)
+
+    f, g = extended(source, target, found.f, found.g), extended(target, source, found.g, found.f)
+    return replace(found, f=f, g=g)
 
 
 def _compared(images: tuple[Array, Array], options: RearrangeOptions) -> tuple[Measure, Measure]:

@@ -16,7 +16,7 @@ from clmorph.transport.certificate import Certificate
 from clmorph.transport.options import PlanOptions, Reach, SolverOptions
 from clmorph.transport.plan_building import no_pair_kept
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Regularization, regularization
+from clmorph.transport.regularization import Goal, regularization
 
 #: Largest number of pairs of a dense plan; coordinate differences alone then take 1.3 GB.
 MAX_PAIRS = 1 << 25
@@ -116,9 +116,8 @@ def sinkhorn(
     >>> potentials.converged, round(potentials.transported_mass, 3)
     (True, 0.828)
     """
-    given = regularization(blur, reach, epsilon, rho)
-    tol = SolverOptions.checked("tol", tol)
-    max_iter = SolverOptions.checked("max_iter", max_iter)
+    given = regularization(blur, reach, epsilon, rho, tol, max_iter)
+    tol, max_iter = given.tol, given.max_iter
     source, target = as_measures(source, target)
     epsilon = given.epsilon
     # Delta = rho / (rho + epsilon), the proximal step of the marginal penalty (math: damping)
@@ -147,7 +146,7 @@ def sinkhorn(
 
 
 def certificate(
-    source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, given: Regularization
+    source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, given: Goal
 ) -> Certificate:
     """Evaluate the primal and the dual of the problem (paper, 2.1) on the dense plan.
 
@@ -179,7 +178,7 @@ def certificate(
     )  # fmt: skip
 
 
-def _feasible(plan: Array, a: Array, b: Array, given: Regularization) -> Array:
+def _feasible(plan: Array, a: Array, b: Array, given: Goal) -> Array:
     """Return a plan near this one that has the marginals of balanced sides.
 
     For two balanced sides the method is that of Altschuler, Weed, Rigollet, "Near-linear time

@@ -8,19 +8,14 @@ random directions until one point is left in each part. Then pairs that lie near
 gathered in small blocks, and each block is assigned exactly, in rounds with new blocks.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.typing import Array
-
-Indices = NDArray[np.intp]
+from clmorph.transport.pair_costs import Indices
 
 #: Pairs of a block that is assigned exactly, in the first rounds and in all later ones. Far from
 #: the optimum small blocks gain as much, in less time.
@@ -36,13 +31,6 @@ WAYS = 4
 MAX_THREADS = 8
 
 
-class Assignment(NamedTuple):
-    """A permutation and its cost."""
-
-    permutation: Indices  #: (N,) index of the target of each source
-    cost: float  #: mean of half squared distances
-
-
 def assign(
     source: Array,
     target: Array,
@@ -50,8 +38,8 @@ def assign(
     destinations: Array | None = None,
     least_gain: float = SMALLEST_GAIN,
     seed: int = 0,
-) -> Assignment:
-    """Assign points (N, D) to points so that half the mean squared distance is small.
+) -> Indices:
+    """Return the target of each source, (N,), so that half the mean squared distance is small.
 
     The partition begins from `destinations`, such as the means of an entropic plan, in place of the
     sources. The search ends when rounds lower the cost by a smaller share than `least_gain`; the
@@ -85,7 +73,7 @@ def assign(
                 permutation[rows] = columns
             before, cost = cost, permutation_cost(source, target, permutation)
             idle = idle + 1 if before - cost < least_gain * before else 0
-    return Assignment(permutation, cost)
+    return permutation
 
 
 def permutation_cost(source: Array, target: Array, permutation: Indices) -> float:

@@ -9,8 +9,6 @@ candidates are drawn from plans of several temperatures, and one sum over all pa
 row's least cost less price.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,6 +17,7 @@ import numpy as np
 from clmorph._shared.progress import Report, Share
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
+from clmorph.transport._solver.iteration import share_done
 from clmorph.transport._solver.problem import upload_both
 from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin, many_pairs
 from clmorph.transport.auction import OPEN, ROUNDING, Auction, few
@@ -68,6 +67,68 @@ class Solution(NamedTuple):
         return self.cost / self.bound - 1 if self.bound > 0 else np.inf
 
 
+class PlanSearch:
+    """Candidates and bounds of too many pairs for the host, from entropic plans on the device."""
+
+    def __init__(self, costs: Costs, epsilon: float, operations: Operations, seed: int) -> None:
+        self._costs, self._epsilon, self._operations = costs, epsilon, operations
+        self._rng = np.random.default_rng(seed)
+        self._measures = costs.measures()
+        self._clouds = upload_both(operations, *self._measures)
+        few = len(costs.x) ** 2 < many_pairs(operations)  # for a fast device
+        self._truncation = None if few else TRUNCATION
+
+    def _softmin(self, side: int) -> Softmin:
+        order = (side, 1 - side)
+        clouds = [self._clouds[each] for each in order]
+        masses = self._measures[side].weights, self._measures[1 - side].weights
+        return Softmin(self._operations, clouds[0], clouds[1], masses, self._truncation)
+
+    def _drawn(self, side: int, potential: Array, epsilon: float) -> tuple[Indices, Array]:
+        """Return draws of each point, (N, DRAWS), and the soft minimum, (N,)."""
+        softmin = self._softmin(side)
+        reached = softmin(potential, epsilon)
+        shape = len(potential), DRAWS
+        thresholds = np.minimum((np.arange(DRAWS) + self._rng.random(shape)) / DRAWS, 1 - 2.0**-24)
+        there = self._operations.sample_plan_rows(
+            self._clouds[side], self._clouds[1 - side], potential, reached, epsilon, thresholds,
+            False, softmin.near,
+        )  # fmt: skip
+        return there.astype(np.intp), reached
+
+    def candidates(self, g: Array) -> tuple[Indices, Indices]:
+        """Return rows and columns of pairs that are drawn at prices g, (N,)."""
+        own = np.arange(len(g))
+        each = np.repeat(own, DRAWS)
+        rows, columns = [own], [own]  # each point has a candidate
+        for temperature in TEMPERATURES:
+            there, f = self._drawn(0, g, temperature * self._epsilon)
+            back, _ = self._drawn(1, f, temperature * self._epsilon)
+            rows += [each, back.ravel()]
+            columns += [there.ravel(), each]
+        return np.concatenate(rows), np.concatenate(columns)
+
+    def below(self, g: Array, guess: Array, accuracy: float) -> tuple[Array, float]:
+        """Return f_i at most min_j (C_ij - g_j), (N,), and by how much they may be lower.
+
+        With masses b_j, the soft minimum T(g)_i = -epsilon log sum_j b_j exp((g_j - C_ij) /
+        epsilon) exceeds that minimum by at most -epsilon log min b. Proven bounds of the rounding
+        on the device and of the pairs left out are subtracted. guess: (N,), about T(g).
+        """
+        points = np.vstack([each.points for each in self._measures])
+        spread = float(np.square(np.ptp(points, axis=0)).sum() / 2 + np.ptp(g))
+        spread += sum(
+            float(np.ptp(each.offsets)) for each in self._measures if each.offsets is not None
+        )
+        nats = float(np.log(len(g)))
+        epsilon = max(LOST * accuracy / (2 * nats), 2 * spread / self._operations.max_spread)
+        softmin = self._softmin(0)
+        softmin.guess = guess
+        found = softmin(g, epsilon, bounded=True)
+        largest = -np.log(self._measures[1].weights.min())
+        return found - epsilon * (largest + softmin.left_out + softmin.roundoff), 2 * epsilon * nats
+
+
 def solved(
     costs: Costs,
     g: Array,
@@ -77,16 +138,22 @@ def solved(
     report: Report = lambda share: None,
     start: Indices | None = None,
     constant: float = 0.0,
-    plans: PlanSearch | None = None,
+    operations: Operations | None = None,
+    drawn: float | None = None,
 ) -> Solution:
     """Return an assignment whose cost is at most (1 + gap) times its bound, if that is reached.
 
     g: (M,) prices at which the search begins, such as entropic potentials; epsilon: theirs, in cost
     units; gap: 0 asks for the cheapest assignment, to rounding; seed: of draws; start: (N,)
     columns of an assignment at which it begins in place of bids, with N = M; constant: what each
-    assignment costs besides, of which the gap is a share as well; plans: search
-    of pairs that are too many for the host, whose bounds prove gaps above 0.
+    assignment costs besides, of which the gap is a share as well; operations:
+    those of a device, which searches pairs that are too many for the host if its bounds can prove
+    the gap; drawn: epsilon of the plans from which it draws, by default that of g.
     """
+    plans = None
+    many = gap > 0 and not costs.spare and len(costs.x) ** 2 >= MANY_PAIRS
+    if operations is not None and start is None and many:
+        plans = PlanSearch(costs, drawn or epsilon, operations, seed)
     state = _begun(costs, g, epsilon, start, plans)
     n, m = len(costs.x), len(costs.y)
     found, first = Solution(np.arange(n), (g[:n], g), np.inf, -np.inf, False), np.inf
@@ -114,7 +181,8 @@ def solved(
         bound = max(found.bound, -constant)  # no assignment costs less than nothing
         above = found.cost - bound
         first, enough = min(first, above), gap * (bound + constant)
-        report(Share(_share(above, first, enough), f"gap {found.gap:.1e}"))
+        least_gap = max(enough, 1e-12 * first, np.finfo(float).tiny)
+        report(Share(share_done(first, above, least_gap), f"gap {found.gap:.1e}"))
         # Nothing is left to be found, unless prices may have missed too much of a lower cost.
         proven = shortest and not undercut and least * n <= 2 * SLACK * share * (cost + constant)
         if above <= enough or (proven and plans is None):
@@ -230,82 +298,3 @@ def _add_cheapest(state: Auction, rows: Indices, nearest: Indices) -> None:
     columns = state.costs.cheapest(0, state.g, MORE, rows)
     repeated = np.repeat(rows, columns.shape[1])
     state.add(np.append(repeated, rows[: len(nearest)]), np.append(columns.ravel(), nearest))
-
-
-def _share(above: float, first: float, enough: float) -> float:
-    """Return the progress of a gap that falls about geometrically."""
-    if above <= enough or first <= 0:
-        return 1.0
-    end = np.log(first / max(enough, 1e-12 * first, np.finfo(float).tiny))
-    return float(np.clip(np.log(first / above) / end, 0.0, 1.0)) if end > 0 else 0.0
-
-
-def plan_search(
-    costs: Costs, epsilon: float, gap: float, operations: Operations, seed: int
-) -> PlanSearch | None:
-    """Return a search on the device if pairs are many and its bounds can prove the gap."""
-    if gap <= 0 or costs.spare or len(costs.x) ** 2 < MANY_PAIRS:
-        return None
-    return PlanSearch(costs, epsilon, operations, seed)
-
-
-class PlanSearch:
-    """Candidates and bounds of too many pairs for the host, from entropic plans on the device."""
-
-    def __init__(self, costs: Costs, epsilon: float, operations: Operations, seed: int) -> None:
-        self._costs, self._epsilon, self._operations = costs, epsilon, operations
-        self._rng = np.random.default_rng(seed)
-        self._measures = costs.measures()
-        self._clouds = upload_both(operations, *self._measures)
-        few = len(costs.x) ** 2 < many_pairs(operations)  # for a fast device
-        self._truncation = None if few else TRUNCATION
-
-    def _softmin(self, side: int) -> Softmin:
-        order = (side, 1 - side)
-        clouds = [self._clouds[each] for each in order]
-        masses = self._measures[side].weights, self._measures[1 - side].weights
-        return Softmin(self._operations, clouds[0], clouds[1], masses, self._truncation)
-
-    def _drawn(self, side: int, potential: Array, epsilon: float) -> tuple[Indices, Array]:
-        """Return draws of each point, (N, DRAWS), and the soft minimum, (N,)."""
-        softmin = self._softmin(side)
-        reached = softmin(potential, epsilon)
-        shape = len(potential), DRAWS
-        thresholds = np.minimum((np.arange(DRAWS) + self._rng.random(shape)) / DRAWS, 1 - 2.0**-24)
-        there = self._operations.sample_plan_rows(
-            self._clouds[side], self._clouds[1 - side], potential, reached, epsilon, thresholds,
-            False, softmin.near,
-        )  # fmt: skip
-        return there.astype(np.intp), reached
-
-    def candidates(self, g: Array) -> tuple[Indices, Indices]:
-        """Return rows and columns of pairs that are drawn at prices g, (N,)."""
-        own = np.arange(len(g))
-        each = np.repeat(own, DRAWS)
-        rows, columns = [own], [own]  # each point has a candidate
-        for temperature in TEMPERATURES:
-            there, f = self._drawn(0, g, temperature * self._epsilon)
-            back, _ = self._drawn(1, f, temperature * self._epsilon)
-            rows += [each, back.ravel()]
-            columns += [there.ravel(), each]
-        return np.concatenate(rows), np.concatenate(columns)
-
-    def below(self, g: Array, guess: Array, accuracy: float) -> tuple[Array, float]:
-        """Return f_i at most min_j (C_ij - g_j), (N,), and by how much they may be lower.
-
-        With masses b_j, the soft minimum T(g)_i = -epsilon log sum_j b_j exp((g_j - C_ij) /
-        epsilon) exceeds that minimum by at most -epsilon log min b. Proven bounds of the rounding
-        on the device and of the pairs left out are subtracted. guess: (N,), about T(g).
-        """
-        points = np.vstack([each.points for each in self._measures])
-        spread = float(np.square(np.ptp(points, axis=0)).sum() / 2 + np.ptp(g))
-        spread += sum(
-            float(np.ptp(each.offsets)) for each in self._measures if each.offsets is not None
-        )
-        nats = float(np.log(len(g)))
-        epsilon = max(LOST * accuracy / (2 * nats), 2 * spread / self._operations.max_spread)
-        softmin = self._softmin(0)
-        softmin.guess = guess
-        found = softmin(g, epsilon, bounded=True)
-        largest = -np.log(self._measures[1].weights.min())
-        return found - epsilon * (largest + softmin.left_out + softmin.roundoff), 2 * epsilon * nats

@@ -7,10 +7,6 @@ make the assignment the cheapest one. Prices follow from it: each row's column i
 at them. If there are more columns than rows, those that no row has have the largest price of all.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-
 import numpy as np
 
 from clmorph._shared.typing import Array
@@ -35,36 +31,6 @@ CIRCLES = 16
 MOST = 64
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Candidates: a line for each point, whose last places can be empty."""
-
-    cost: Array  #: (K, width), inf in empty places
-    other: Indices  #: (K, width)
-
-    @classmethod
-    def of(cls, lines: Indices, other: Indices, cost: Array, count: int) -> _Table:
-        """Return the table of pairs, sorted by their lines."""
-        first = np.searchsorted(lines, np.arange(count + 1))
-        width = max(2, int(np.diff(first).max()))
-        place = np.arange(len(lines)) - first[lines]
-        table = cls(np.full((count, width), np.inf), np.zeros((count, width), np.intp))
-        table.cost[lines, place] = cost
-        table.other[lines, place] = other
-        return table
-
-    def bids(self, lines: Indices, prices: Array, most: float) -> tuple[Array, Indices, Array]:
-        """Return the least cost less price of some lines, its place, and the second one's lead."""
-        value = self.cost[lines] - prices[self.other[lines]]
-        line = np.arange(len(lines))
-        place = value.argmin(axis=1)
-        best = value[line, place]
-        value[line, place] = np.inf
-        # A point with one candidate bids as much as any can.
-        with np.errstate(invalid="ignore"):  # one without any does not bid
-            return best, place, np.minimum(value.min(axis=1) - best, most)
-
-
 class Auction:
     """An auction: `costs`, prices g, (M,), candidates (rows and columns, (K,)), and owners."""
 
@@ -83,13 +49,17 @@ class Auction:
         self._pairs = np.union1d(self._pairs, rows * m + columns)
         rows, columns = np.divmod(self._pairs, m)
         self._cost = cost = self.costs.of_pairs(rows, columns)
-        self._rows = _Table.of(rows, columns, cost, n)
+        # A line for each row, whose last places can be empty, with costs of inf.
+        first = np.searchsorted(rows, np.arange(n + 1))
+        shape, place = (n, max(2, int(np.diff(first).max()))), np.arange(len(rows)) - first[rows]
+        self._costs, self._columns = np.full(shape, np.inf), np.zeros(shape, np.intp)
+        self._costs[rows, place], self._columns[rows, place] = cost, columns
         self._most = float(cost.max()) + 1e-300
         self._find_places(np.flatnonzero(self.taken >= 0))
 
     def _find_places(self, rows: Indices) -> None:
-        is_own = self._rows.other[rows] == self.taken[rows, None]
-        is_own &= np.isfinite(self._rows.cost[rows])
+        is_own = self._columns[rows] == self.taken[rows, None]
+        is_own &= np.isfinite(self._costs[rows])
         self._place[rows] = is_own.argmax(axis=1)
 
     def take(self, columns: Indices) -> None:
@@ -105,7 +75,7 @@ class Auction:
 
     def cheapest(self) -> Array:
         """Return each row's least cost less price among its candidates: (N,) array."""
-        return (self._rows.cost - self.g[self._rows.other]).min(axis=1)
+        return (self._costs - self.g[self._columns]).min(axis=1)
 
     def cost(self) -> float:
         """Return the cost of the assignment."""
@@ -129,8 +99,14 @@ class Auction:
 
     def _round(self, rows: Indices, increment: float) -> Indices:
         """Let rows bid together; return those that then have no column."""
-        _, place, lead = self._rows.bids(rows, self.g, self._most)
-        wanted = self._rows.other[rows, place]
+        value, line = self._costs[rows] - self.g[self._columns[rows]], np.arange(len(rows))
+        place = value.argmin(axis=1)
+        best = value[line, place]
+        value[line, place] = np.inf
+        with np.errstate(invalid="ignore"):  # a row without any candidate does not bid
+            # One with a single candidate bids as much as any can.
+            lead = np.minimum(value.min(axis=1) - best, self._most)
+        wanted = self._columns[rows, place]
         price = self.g[wanted] - lead - increment
         np.minimum.at(self.g, wanted, price)
         winners = np.flatnonzero(price == self.g[wanted])
@@ -212,9 +188,9 @@ class Auction:
                 lowest = last[self.g[last].argmin()]
                 level = self.g[lowest]
             changed, rows = changed[own], rows[own]
-            base = self.g[changed] - self._rows.cost[rows, self._place[rows]]
-            price = self._rows.cost[rows] + base[:, None]
-            columns = self._rows.other[rows]
+            base = self.g[changed] - self._costs[rows, self._place[rows]]
+            price = self._costs[rows] + base[:, None]
+            columns = self._columns[rows]
             line, place = np.nonzero(price < self.g[columns] - least)
             price, columns, causes = price[line, place], columns[line, place], changed[line]
             if np.isfinite(level):

@@ -132,7 +132,6 @@ def barycentric_plan(
     >>> clmorph.barycentric_plan(source, target, potentials, backend="numpy")
     <Barycentric of 4 points, mass 0.0633731>
     """
-    images = isinstance(source, Measure) and isinstance(target, Measure)
     pair = as_pair(source, target)
     dimension = pair[0].points.shape[1]
     if dimension > MAX_COVARIANCE:
@@ -140,18 +139,17 @@ def barycentric_plan(
             f"covariances of points have {dimension} x {dimension} numbers, expected at most "
             f"{MAX_COVARIANCE} coordinates; `Potentials.map` gives mean destinations alone"
         )
-    to_colors: Callable[[Array], Array] = lambda mean: mean[:, :0]  # noqa: E731
+    to_colors = None
     if isinstance(source, Measure) and isinstance(target, Measure):
         to_colors = destination_colors(source, target)
-    operations = get_backend(backend)
-    rows = RowsOfPlan(operations, pair, potentials).checked()
-    epsilon, precise = potentials.epsilon, potentials.precise
-    mean, covariance = operations.plan_moments(
-        *rows.clouds, potentials.g, rows.softmin, epsilon, precise, rows.near
+    rows = RowsOfPlan(get_backend(backend), pair, potentials).checked()
+    kind = potentials.epsilon, potentials.precise
+    mean, covariance = rows.operations.plan_moments(
+        *rows.clouds, potentials.g, rows.softmin, *kind, rows.near
     )
     return Barycentric(
-        positions=mean[:, :2] if images else mean,
-        colors=to_colors(mean),
+        positions=mean[:, :2] if to_colors else mean,
+        colors=to_colors(mean) if to_colors else mean[:, :0],
         covariance=covariance,
         row_mass=rows.mass,
         column_mass=rows.swapped().mass,

@@ -87,9 +87,8 @@ class _Bounded:
     def __init__(self, side: Side, epsilon: float) -> None:
         massive = side.weights > 0
         self.weights, self.log_weights = side.weights[massive], side.log_weights[massive]
-        self.potential = side.potential[massive]
+        self.potential, self.softmin = side.potential[massive], side.softmin[massive]
         self.inverse_rho, self.oscillation = side.inverse_rho, side.oscillation
-        self.softmin = side.softmin[massive]
         sizes = (np.abs(self.potential) + np.abs(self.softmin)) / epsilon
         sizes += np.abs(self.log_weights)
         self.below = side.roundoff + STEPS_ERROR * sizes

@@ -127,11 +127,9 @@ def displacement_statistics(
     (1.0, 0.063)
     """
     mask = check_number("mask", mask, 0.0, 1e30)
-    instead = ", or use plan.mean_destinations(x, y) for plain points"
-    source, target = (
-        as_image_measure(name, measure, "displacements are in pixels", instead)
-        for name, measure in (("source", source), ("target", target))
-    )
+    why = "displacements are in pixels", ", or use plan.mean_destinations(x, y) for plain points"
+    source = as_image_measure("source", source, *why)
+    target = as_image_measure("target", target, *why)
     check_plan("plan", plan, (len(source), len(target)))
     destinations, _ = plan.mean_destinations(source.positions, target.positions)
     return displacement_of(source, target, destinations, *plan.marginals, mask)

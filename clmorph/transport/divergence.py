@@ -21,14 +21,14 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.annealing import ignore
-from clmorph.transport._solver.checks import check_problem, check_solver_options
+from clmorph.transport._solver.problem import check_problem
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.gradient import Gradient, divergence_gradient
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Regularization, refuses_other_order, regularization
-from clmorph.transport.sinkhorn import sinkhorn, solve, warn_unless_converged
+from clmorph.transport.regularization import Goal, refuses_other_order, regularization
+from clmorph.transport.sinkhorn import solve, warn_unless_converged
 
 #: The problem between two measures is solved further if the gap of its values is more than this
 #: share of the divergence's upper bound.
@@ -207,59 +207,55 @@ def sinkhorn_divergence(
     >>> (found.gradient.source_points.round(4) + 0.0).tolist()  # no -0.0
     [[-0.0674], [0.0], [0.0674]]
     """
-    given = one_regularization(blur, reach, epsilon, rho)
-    tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
+    goal = one_regularization(blur, reach, epsilon, rho, tol, max_iter, precision)
     report = check_progress(progress)
     gradient = check_flag("gradient", gradient)
     pair = as_pair(source, target)
     check_symmetric(*pair)
     if cross is not None:
         check_potentials("cross", cross, (len(pair[0]), len(pair[1])))
-        if (cross.blur, cross.reach) != (given.blur, given.reach):
+        if (cross.blur, cross.reach) != (goal.blur, goal.reach):
             raise InputError(
                 f"cross: potentials at blur={cross.blur:g}, reach={cross.reach}; expected "
-                f"blur={given.blur:g}, reach={given.reach}: solve for these, or leave it out"
+                f"blur={goal.blur:g}, reach={goal.reach}: solve for these, or leave it out"
             )
     operations = for_one_solve(get_backend(backend))
-    check_problem(*pair, given, operations, precision, tol)
+    check_problem(pair, goal, operations)
 
-    options = given, tol, max_iter, precision
     known = cross is not None
     parts: list[Potentials] = []
     for number, measure in enumerate(pair):
-        parts.append(solve(operations, (measure, measure), *options, ignore))
+        parts.append(solve(operations, (measure, measure), goal, ignore))
         warn_unless_converged(parts[-1].status, f"self-transport: {parts[-1].message}", 4)
         report(0.15 * (number + 1))
     if are_equal(*pair):
         cross = parts[0]
     elif cross is None:
-        cross = sinkhorn(
-            *pair, tol=tol, max_iter=max_iter, backend=operations, epsilon=given.epsilon,
-            rho=given.rho[0], precision=precision, progress=lambda share: report(0.3 + 0.7 * share),
-        )  # fmt: skip
-    result = combined(cross, parts[0], parts[1], given)
-    smaller = further_tol(result, tol)
+        found = solve(operations, pair, goal, lambda share: report(0.3 + 0.7 * share), keep=True)
+        cross = replace(found, measures=pair)
+        warn_unless_converged(cross.status, cross.message, 4)
+    result = combined(cross, *parts)
+    smaller = further_tol(result, goal.tol)
     if smaller is not None and not known:
-        options = given, smaller, max_iter, precision
-        further = solve(operations, pair, *options, ignore, exact=True)
-        cross = replace(better(cross, further, tol), measures=pair)
-        result = combined(cross, parts[0], parts[1], given)
+        further = solve(operations, pair, goal._replace(tol=smaller), ignore, exact=True)
+        cross = replace(better(cross, further, goal.tol), measures=pair)
+        result = combined(cross, *parts)
     if gradient:
-        found = divergence_gradient(pair, cross, (parts[0], parts[1]), operations)
-        result = replace(result, gradient=found)
+        slope = divergence_gradient(pair, cross, (parts[0], parts[1]), operations)
+        result = replace(result, gradient=slope)
     report(1.0)
     return result
 
 
-def one_regularization(blur: Any, reach: Any, epsilon: Any, rho: Any) -> Regularization:
-    """Return checked strengths, with one reach for both measures; see `regularization`."""
-    given = regularization(blur, reach, epsilon, rho)
-    if isinstance(given.reach, tuple):
+def one_regularization(*given: Any) -> Goal:
+    """Return what `regularization` does, with one reach for both measures."""
+    goal = regularization(*given)
+    if isinstance(goal.reach, tuple):
         raise InputError(
-            f"reach={given.reach!r}: expected one number for both measures (or None); with two "
+            f"reach={goal.reach!r}: expected one number for both measures (or None); with two "
             "there is no divergence"
         )
-    return given
+    return goal
 
 
 def check_symmetric(*measures: AnyMeasure) -> None:
@@ -271,9 +267,7 @@ def check_symmetric(*measures: AnyMeasure) -> None:
         )
 
 
-def combined(
-    cross: Potentials, source: Potentials, target: Potentials, given: Regularization
-) -> Divergence:
+def combined(cross: Potentials, source: Potentials, target: Potentials) -> Divergence:
     """Return the divergence that three solves prove."""
     parts = source, target
     if not all(np.isfinite(part.gap) for part in (cross, *parts)):
@@ -283,7 +277,7 @@ def combined(
             "points, or use backend='numpy'"
         )
     masses = cross.certificate.masses
-    extra = 0.5 * given.epsilon * (masses[0] - masses[1]) ** 2
+    extra = 0.5 * cross.epsilon * (masses[0] - masses[1]) ** 2
     duals = [part.dual for part in (cross, *parts)]
     # S(a, b) (paper, 2.2; math: S)
     value = duals[0] - 0.5 * (duals[1] + duals[2]) + extra

@@ -12,8 +12,7 @@ from clmorph._shared.typing import AnyArray, Array, Progress
 from clmorph._shared.validation import check_flag, check_progress, errors_about
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
-from clmorph.measures.points import AnyMeasure, as_many, as_pair
-from clmorph.transport._solver.checks import check_solver_options
+from clmorph.measures.points import Pair, as_many, as_pair
 from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.divergence import (
     Divergence,
@@ -26,7 +25,7 @@ from clmorph.transport.divergence import (
 from clmorph.transport.gradient import divergence_gradient
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import Regularization
+from clmorph.transport.regularization import Goal
 from clmorph.transport.sinkhorn_batch import (
     MeasuresLike,
     PotentialsBatch,
@@ -96,21 +95,17 @@ def sinkhorn_divergence_batch(
     >>> [round(float(each), 4) for each in found]
     [0.0021, 0.0183]
     """
-    given = one_regularization(blur, reach, epsilon, rho)
-    tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
+    goal = one_regularization(blur, reach, epsilon, rho, tol, max_iter, precision)
     report = check_progress(progress)
     gradient = check_flag("gradient", gradient)
     pairs = checked_pairs(as_many("sources", sources), as_many("targets", targets))
-    for number, pair in enumerate(pairs):
-        with errors_about(problem_name(number)):
-            check_symmetric(*pair)
     operations = get_backend(backend)
 
-    problems: list[tuple[AnyMeasure, AnyMeasure]] = []
+    problems: list[Pair] = []
     names: list[str] = []
     known: dict[tuple[bytes, ...], int] = {}
 
-    def place(pair: tuple[AnyMeasure, AnyMeasure], name: str) -> int:
+    def place(pair: Pair, name: str) -> int:
         """Return the place of a problem among those to solve, in which it stands once."""
         key = tuple(
             part.tobytes() for measure in pair for part in (measure.points, measure.weights)
@@ -123,61 +118,65 @@ def sinkhorn_divergence_batch(
 
     places = []
     for number, pair in enumerate(pairs):
-        name = problem_name(number)
+        with errors_about(problem_name(number)):
+            check_symmetric(*pair)
         own = (
-            place((measure, measure), f"{name}, {which} with itself")
+            place((measure, measure), f"{problem_name(number)}, {which} with itself")
             for measure, which in zip(pair, ("source", "target"), strict=True)
         )
-        places.append((place(pair, name), *own))
+        places.append((place(pair, problem_name(number)), *own))
     share = SOLVING if gradient else 1.0
-    options = given, tol, max_iter, operations, precision
-    solved = solve_many(
-        problems, *options, lambda done: report(share * done), names.__getitem__
+    name = names.__getitem__
+    solved = solve_divergences(
+        problems, {cross: (source, target) for cross, source, target in places}, goal, operations,
+        lambda done: report(share * done), name,
     )  # fmt: skip
-    selves = {cross: (solved[source], solved[target]) for cross, source, target in places}
-    solve_further(solved, selves, problems, *options, names.__getitem__)
     found = []
     for number, (pair, numbers) in enumerate(zip(pairs, places, strict=True)):
         cross, own_source, own_target = (solved[each] for each in numbers)
         with errors_about(problem_name(number)):
-            divergence = combined(cross, own_source, own_target, given)
+            divergence = combined(cross, own_source, own_target)
         if gradient:
             derivatives = divergence_gradient(pair, cross, (own_source, own_target), operations)
             divergence = replace(divergence, gradient=derivatives)
             report(share + (1 - share) * (number + 1) / len(pairs))
         found.append(divergence)
-    warn_of_missed(solved, names.__getitem__)
+    warn_of_missed(solved, name)
     return found
 
 
-def solve_further(
-    solved: PotentialsBatch,
-    selves: Mapping[int, tuple[Potentials, Potentials]],
-    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]],
-    given: Regularization,
-    tol: float,
-    max_iter: int,
+def solve_divergences(
+    pairs: Sequence[Pair],
+    selves: Mapping[int, tuple[Any, Any]],
+    goal: Goal,
     operations: Operations,
-    precision: str,
+    report: Progress,
     name: Callable[[int], str],
-) -> None:
-    """Solve problems with wide divergences further, and change `solved`; see `further_tol`."""
+) -> PotentialsBatch:
+    """Solve problems, and those with wide divergences further; see `further_tol`.
+
+    selves: for each problem between two measures those of both with themselves, by their numbers
+    or solved.
+    """
+    solved = solve_many(pairs, goal, operations, report, name)
     wide: dict[int, float] = {}
-    for number, own in selves.items():
+    for number, both in selves.items():
+        own = [each if isinstance(each, Potentials) else solved[each] for each in both]
         if not np.isfinite(solved[number].gap) or solved[number] in own:
             continue
-        smaller = further_tol(combined(solved[number], *own, given), tol)
+        smaller = further_tol(combined(solved[number], *own), goal.tol)
         if smaller is not None:
             wide[number] = smaller
     if not wide:
-        return
-    numbers, smallest = list(wide), min(wide.values())
+        return solved
+    numbers = list(wide)
     again = solve_many(
-        [pairs[number] for number in numbers], given, smallest, max_iter, operations, precision,
+        [pairs[number] for number in numbers], goal._replace(tol=min(wide.values())), operations,
         lambda share: None, lambda number: name(numbers[number]), exact=True,
     )  # fmt: skip
     for number, further in zip(numbers, again, strict=True):
-        solved._put(number, better(solved[number], further, tol))
+        solved._put(number, better(solved[number], further, goal.tol))
+    return solved
 
 
 class DivergenceMatrix:
@@ -207,17 +206,13 @@ class DivergenceMatrix:
     False
     """
 
-    def __init__(self, solved: PotentialsBatch, places: AnyArray, given: Regularization) -> None:
-        self._solved, self._places, self._given = solved, places, given
+    def __init__(self, solved: PotentialsBatch, places: AnyArray) -> None:
+        self._solved, self._places = solved, places
         count = len(places)
-        self.values, self.low, self.high = (np.zeros((count, count)) for _ in range(3))
-        for i in range(count):
-            for j in range(i, count):
-                found = self[i, j]
-                for array, value in zip(
-                    (self.values, self.low, self.high), (found.value, *found.interval), strict=True
-                ):
-                    array[i, j] = array[j, i] = value
+        self.values, self.low, self.high = whole = np.zeros((3, count, count))
+        for i, j in np.transpose(np.triu_indices(count)).tolist():
+            found = self[i, j]
+            whole[:, i, j] = whole[:, j, i] = found.value, *found.interval
         self.converged = solved.converged
 
     def __len__(self) -> int:
@@ -233,7 +228,7 @@ class DivergenceMatrix:
     def __getitem__(self, pair: tuple[int, int]) -> Divergence:
         """Return the divergence of a pair of measures."""
         i, j = (range(len(self))[number] for number in pair)
-        return combined(self._between(i, j), self._between(i, i), self._between(j, j), self._given)
+        return combined(self._between(i, j), self._between(i, i), self._between(j, j))
 
     def _between(self, i: int, j: int) -> Potentials:
         potentials = self._solved[int(self._places[min(i, j), max(i, j)])]
@@ -291,42 +286,32 @@ def divergence_matrix(
     >>> matrix.values.round(4).tolist()
     [[0.0, 0.0089, 0.0466], [0.0089, 0.0, 0.0314], [0.0466, 0.0314, 0.0]]
     """
-    given = one_regularization(blur, reach, epsilon, rho)
-    tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
+    goal = one_regularization(blur, reach, epsilon, rho, tol, max_iter, precision)
     report = check_progress(progress)
     own = as_many("measures", measures)
     # Pairs (i, j) of measures, and the measures.
-    between = [(i, i) for i in range(len(own))]
-    pairs = [_pair(i, i, own[i], own[i]) for i in range(len(own))]
-    checked = [pair[0] for pair in pairs]
-    places = np.diag(np.arange(len(own)))
-    for i, j in zip(*np.triu_indices(len(own), 1), strict=True):
-        if are_equal(checked[i], checked[j]):
-            places[i, j] = places[i, i]
-            continue
-        places[i, j] = len(pairs)
-        between.append((int(i), int(j)))
-        pairs.append(_pair(int(i), int(j), checked[i], checked[j]))
-    operations = get_backend(backend)
+    between: list[tuple[int, int]] = []
+    pairs: list[Pair] = []
 
     def name(number: int) -> str:
-        return _name(*between[number])
+        i, j = between[number]
+        return f"measure {i} with itself" if i == j else f"measures {i} and {j}"
 
-    solved = solve_many(pairs, given, tol, max_iter, operations, precision, report, name)
-    selves = {number: (solved[i], solved[j]) for number, (i, j) in enumerate(between) if i != j}
-    solve_further(solved, selves, pairs, given, tol, max_iter, operations, precision, name)
+    def add(i: int, j: int, source: Any, target: Any) -> None:
+        between.append((i, j))
+        with errors_about(name(-1)):
+            pairs.append(as_pair(source, target))
+            check_symmetric(*pairs[-1])
+
+    for i, each in enumerate(own):
+        add(i, i, each, each)
+    places = np.diag(np.arange(len(own)))
+    for i, j in np.transpose(np.triu_indices(len(own), 1)).tolist():
+        places[i, j] = i if are_equal(pairs[i][0], pairs[j][0]) else len(pairs)
+        if places[i, j] != i:
+            add(i, j, pairs[i][0], pairs[j][0])
+    operations = get_backend(backend)
+    selves = {number: pair for number, pair in enumerate(between) if pair[0] != pair[1]}
+    solved = solve_divergences(pairs, selves, goal, operations, report, name)
     warn_of_missed(solved, name)
-    return DivergenceMatrix(solved, places, given)
-
-
-def _name(i: int, j: int) -> str:
-    """Return the name of a pair of measures in messages."""
-    return f"measure {i} with itself" if i == j else f"measures {i} and {j}"
-
-
-def _pair(i: int, j: int, source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
-    """Return the checked measures i and j."""
-    with errors_about(_name(i, j)):
-        pair = as_pair(source, target)
-        check_symmetric(*pair)
-    return pair
+    return DivergenceMatrix(solved, places)

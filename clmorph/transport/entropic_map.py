@@ -11,8 +11,6 @@ Cov_w(x)(y) / epsilon.
 Source: Pooladian, Niles-Weed, "Entropic estimation of optimal transport maps" (2021), section 3.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,15 +20,8 @@ from clmorph.backends.arrays import as_floats
 from clmorph.backends.interface import Operations
 from clmorph.backends.rounding import rounding_error
 from clmorph.errors import InputError
-from clmorph.measures.grid import Grid
 from clmorph.measures.measure import Measure
-from clmorph.measures.points import (
-    MAX_COORDINATE,
-    AnyMeasure,
-    WeightedPoints,
-    as_measure,
-    as_measures,
-)
+from clmorph.measures.points import MAX_COORDINATE, AnyMeasure, as_measure, as_measures
 
 #: Points that are mapped at once.
 CHUNK = 1 << 18
@@ -102,17 +93,16 @@ def _scales(distances: Array, radius: float) -> Array:
 
 def _scaled(target: AnyMeasure, middle: Array, scale: float, operations: Operations) -> Any:
     """Return the target around its middle as a cloud, multiplied by a number; see `_scales`."""
-    centered = target.points - middle
-    offsets = np.zeros(len(target)) if target.offsets is None else target.offsets
+    centered, offsets = target.points - middle, target.offsets
     if scale != 1.0:
-        offsets = offsets + 0.5 * (1.0 - scale**2) * np.square(centered).sum(axis=1)
-    given = None if scale == 1.0 and target.offsets is None else offsets
-    return operations.upload(scale * centered, target.weights, given)
+        more = 0.5 * (1.0 - scale**2) * np.square(centered).sum(axis=1)
+        offsets = more if offsets is None else offsets + more
+    return operations.upload(scale * centered, target.weights, offsets)
 
 
 def as_places(points: Any, target: AnyMeasure) -> Array:
     """Return points that are to be mapped into a measure, as a (K, D) array."""
-    if isinstance(points, Measure | WeightedPoints | Grid):
+    if isinstance(points, AnyMeasure):
         if isinstance(points, Measure) and isinstance(target, Measure):
             return as_measures(points, target)[0].points
         places = as_measure("points", points).points

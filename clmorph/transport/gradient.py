@@ -19,8 +19,9 @@ transport" (2019), section 4.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -29,8 +30,8 @@ from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
-from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.transport._solver.plan_softmin import RowsOfPlan, inverse_rho, uploaded_pair
+from clmorph.measures.points import MeasureLike, Pair, as_pair
+from clmorph.transport._solver.plan_softmin import RowsOfPlan, Sent, inverse_rho, uploaded_pair
 from clmorph.transport.potentials import Potentials
 
 
@@ -121,79 +122,51 @@ def gradient(
             "use one metric for all pixels"
         )
     operations = get_backend(backend)
-    clouds = uploaded_pair(operations, pair)
-    sides = (
-        _side(operations, clouds, pair, potentials),
-        _side(operations, clouds[::-1], pair[::-1], potentials.swapped()),
-    )
-    epsilon = potentials.epsilon
-    masses = [float(measure.weights.sum()) for measure in pair]
-    weights = [
-        side.weights(epsilon) + epsilon * (mass - 1.0)
-        for side, mass in zip(sides, masses[::-1], strict=True)
-    ]
-    return joined_sides([side.points for side in sides], weights, potentials)
+    rows = RowsOfPlan(operations, pair, potentials, uploaded_pair(operations, pair))
+    sides = []
+    for own, other in ((rows, pair[1]), (rows.swapped(), pair[0])):
+        going, constant = own.sent(), potentials.epsilon * (float(other.weights.sum()) - 1.0)
+        sides.append((_by_points(own, going), _by_weights(own, going.potential) + constant))
+    return joined_sides(sides, potentials)
 
 
 def divergence_gradient(
-    pair: tuple[AnyMeasure, AnyMeasure],
-    cross: Potentials,
-    selves: tuple[Potentials, Potentials],
-    operations: Operations,
+    pair: Pair, cross: Potentials, selves: tuple[Potentials, Potentials], operations: Operations
 ) -> Gradient:
     """Return the derivatives of the divergence of two measures, given its three solves."""
-    points, weights = [], []
-    both = uploaded_pair(operations, pair)
-    for clouds, measures, potentials, own in (
-        (both, pair, cross, selves[0]),
-        # Swapped too, so that equal measures have derivatives that cancel to the bit.
-        (both[::-1], pair[::-1], cross.swapped(), selves[1].swapped()),
-    ):
-        between = _side(operations, clouds, measures, potentials)
-        within = _side(operations, (clouds[0],) * 2, (measures[0],) * 2, own)
-        points.append(between.points - within.points)
-        weights.append(between.weights(cross.epsilon, within.potential))
-    return joined_sides(points, weights, cross)
+    sides = []
+    both = RowsOfPlan(operations, pair, cross, uploaded_pair(operations, pair))
+    # Swapped too, so that equal measures have derivatives that cancel to the bit.
+    for rows, own in ((both, selves[0]), (both.swapped(), selves[1].swapped())):
+        twice = RowsOfPlan(operations, (rows.pair[0],) * 2, own, (rows.clouds[0],) * 2)
+        between, within = rows.sent(), twice.sent()
+        points = _by_points(rows, between) - _by_points(twice, within)
+        sides.append((points, _by_weights(rows, between.potential, within.potential)))
+    return joined_sides(sides, cross)
 
 
-class _Side(NamedTuple):
-    """Derivatives by one measure."""
-
-    points: Array  #: (N, D) derivatives by the points
-    potential: Array  #: (N,) f, after one more half-step
-    inverse_rho: float  #: 1 / rho, 0 if balanced
-
-    def weights(self, epsilon: float, less: Any = 0.0) -> Array:
-        """Return (rho + epsilon) (1 - exp(-f / rho)), f if balanced, less that of a potential.
-
-        The difference has no cancellation at large rho.
-        """
-        change = self.potential - less
-        if not self.inverse_rho:
-            return change
-        scaled = np.minimum(-less * self.inverse_rho, MAX_EXPONENT)
-        fall = np.expm1(np.minimum(-change * self.inverse_rho, MAX_EXPONENT))
-        # d OT / d a without the constant epsilon (m_b - 1)
-        return -(1.0 / self.inverse_rho + epsilon) * np.exp(scaled) * fall
+def _by_points(rows: RowsOfPlan, going: Sent) -> Array:
+    """Return the derivatives by the source's points, (N, D)."""
+    mass = rows.pair[0].weights * going.ratio
+    return np.asarray(mass[:, None] * (rows.pair[0].points - going.mean))
 
 
-def _side(
-    operations: Operations,
-    clouds: tuple[Any, Any],
-    pair: tuple[AnyMeasure, AnyMeasure],
-    potentials: Potentials,
-) -> _Side:
-    """Return the derivatives by the source, from the potentials of the target alone."""
-    source = pair[0]
-    going = RowsOfPlan(operations, pair, potentials, clouds).sent()
-    mass = source.weights * going.ratio
-    return _Side(
-        mass[:, None] * (source.points - going.mean), going.potential, inverse_rho(potentials)
-    )
+def _by_weights(rows: RowsOfPlan, potential: Array, less: Any = 0.0) -> Array:
+    """Return (rho + epsilon) (1 - exp(-f / rho)), f if balanced, less that of a potential.
+
+    The difference has no cancellation at large rho.
+    """
+    change, inverse = potential - less, inverse_rho(rows.potentials)
+    if not inverse:
+        return change
+    scaled = np.minimum(-less * inverse, MAX_EXPONENT)
+    fall = np.expm1(np.minimum(-change * inverse, MAX_EXPONENT))
+    # d OT / d a without the constant epsilon (m_b - 1)
+    return np.asarray(-(1.0 / inverse + rows.potentials.epsilon) * np.exp(scaled) * fall)
 
 
-def joined_sides(points: list[Array], weights: list[Array], potentials: Potentials) -> Gradient:
+def joined_sides(sides: Sequence[tuple[Array, Array]], potentials: Potentials) -> Gradient:
     """Return a gradient; if both sides are balanced, its derivatives by weights have the mean 0."""
     if np.all(np.isinf(potentials.rho)):
-        weights = [each - each.mean() for each in weights]
-    return Gradient(points[0], weights[0], points[1], weights[1])
+        sides = [(points, weights - weights.mean()) for points, weights in sides]
+    return Gradient(*sides[0], *sides[1])

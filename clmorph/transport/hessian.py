@@ -15,6 +15,7 @@ is solved by conjugate gradients in float64. The product is the change of `clmor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from clmorph._shared.validation import shown
 from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
-from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.measures.points import MeasureLike, Pair, as_pair
 from clmorph.transport.divergence import Divergence
 from clmorph.transport.gradient import Gradient, joined_sides
 from clmorph.transport.potentials import Potentials, check_potentials
@@ -86,22 +87,20 @@ def hessian_product(
         raise InputError("weights must be positive for second derivatives: remove points without")
     changes = _changes(pair, direction)
     if isinstance(solved, Potentials):
-        sides = _product(pair, solved, *changes)
-        return joined_sides([side[0] for side in sides], [side[1] for side in sides], solved)
-    cross = _product(pair, solved.cross, *changes)
-    found: list[tuple[Array, Array]] = []
-    for measure, change, own, there in zip(
-        pair, changes, (solved.source_self, solved.target_self), cross, strict=True
-    ):
-        within = _product((measure, measure), own, change, change)[0]
-        found.append((there[0] - within[0], there[1] - within[1]))
+        return joined_sides(_product(pair, solved, changes), solved)
+    cross = _product(pair, solved.cross, changes)
     # epsilon / 2 (m_a - m_b)^2, of which the weights' derivatives change by a constant.
     more = solved.cross.epsilon * (changes[0][1].sum() - changes[1][1].sum())
-    weights = [found[0][1] + more, found[1][1] - more]
-    return joined_sides([each[0] for each in found], weights, solved.cross)
+    sides = []
+    for measure, change, own, there, constant in zip(
+        pair, changes, (solved.source_self, solved.target_self), cross, (more, -more), strict=True
+    ):
+        within = _product((measure, measure), own, (change, change))[0]
+        sides.append((there[0] - within[0], there[1] - within[1] + constant))
+    return joined_sides(sides, solved.cross)
 
 
-def _changes(pair: tuple[AnyMeasure, AnyMeasure], direction: Any) -> list[tuple[Array, Array]]:
+def _changes(pair: Pair, direction: Any) -> list[tuple[Array, Array]]:
     """Return the checked changes of points, (N, D), and weights, (N,), of both measures."""
     if not isinstance(direction, Gradient):
         raise InputError(f"direction={shown(direction)}: expected a Gradient")
@@ -122,10 +121,7 @@ def _changes(pair: tuple[AnyMeasure, AnyMeasure], direction: Any) -> list[tuple[
 
 
 def _product(
-    pair: tuple[AnyMeasure, AnyMeasure],
-    potentials: Potentials,
-    rows: tuple[Array, Array],
-    columns: tuple[Array, Array],
+    pair: Pair, potentials: Potentials, changes: Sequence[tuple[Array, Array]]
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return the changes of the derivatives by points and weights, for both sides."""
     from scipy.sparse.linalg import LinearOperator, cg  # takes long to import
@@ -136,7 +132,7 @@ def _product(
         raise InputError(f"{n} x {m} points: expected at most 2^27 pairs for second derivatives")
     epsilon, rho = potentials.epsilon, np.broadcast_to(potentials.rho, 2)
     (x, y), (a, b) = (tuple(getattr(e, k) for e in pair) for k in ("points", "weights"))
-    (dx, da), (dy, db) = rows, columns
+    (dx, da), (dy, db) = changes
     balanced = bool(np.isinf(rho).all())
     size = np.abs(da).sum() + np.abs(db).sum()
     if balanced and abs(da.sum() - db.sum()) > MASS_ERROR * size:
@@ -170,9 +166,9 @@ def _product(
         return v.ravel() / diagonal
 
     if np.isfinite(diagonal).all() and diagonal.min() > 0:
-        operators = (LinearOperator((n + m,) * 2, matvec=each, dtype=float)
-                     for each in (applied, scaled))  # fmt: skip
-        system, preconditioner = operators
+        system, preconditioner = (
+            LinearOperator((n + m,) * 2, matvec=each, dtype=float) for each in (applied, scaled)
+        )
         both, status = cg(system, right, rtol=TOLERANCE, maxiter=ITERATIONS, M=preconditioner)
     else:
         both, status = right, 1
@@ -187,10 +183,10 @@ def _product(
         plan_change.sum(axis=1)[:, None] * x - plan_change @ y + r[:, None] * dx - plan @ dy,
         plan_change.sum(axis=0)[:, None] * y - plan_change.T @ x + c[:, None] * dy - plan.T @ dx,
     )
-    weights = []
-    for potential, step, each, other in (
-        (potentials.f, df, rho[0], db), (potentials.g, dg, rho[1], da)
-    ):  # fmt: skip
-        weights.append((1 + epsilon / each) * np.exp(-potential / each) * step)
-        weights[-1] += epsilon * other.sum()
+    weights = [
+        (1 + epsilon / each) * np.exp(-potential / each) * step + epsilon * other.sum()
+        for potential, step, each, other in zip(
+            (potentials.f, potentials.g), (df, dg), rho, (db, da), strict=True
+        )
+    ]
     return (points[0], weights[0]), (points[1], weights[1])

@@ -17,7 +17,7 @@ from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.points import as_measure
-from clmorph.transport.assignment_search import FEW_PAIRS, Solution, plan_search, solved
+from clmorph.transport.assignment_search import FEW_PAIRS, Solution, solved
 from clmorph.transport.pair_costs import Costs, Indices
 from clmorph.transport.regularization import regularization
 from clmorph.transport.sinkhorn import solve
@@ -160,9 +160,13 @@ def assignment(
     operations = for_one_solve(get_backend(backend))
     found = certified(costs, gap, operations, seed, report)
     unit = mean if shares is not None else 1.0 / len(first)
-    result = _result(found, unit, swapped)
+    f, g = (unit * each for each in found.prices)
+    rows, columns = np.arange(len(first)), found.columns
+    if swapped:
+        columns = np.argsort(found.columns)
+        rows, f, g = found.columns[columns], g, f
     warn_unless_reached(found, gap)
-    return result
+    return Assignment(rows, columns, unit * found.cost, unit * found.bound, (f, g))
 
 
 def certified(
@@ -204,17 +208,17 @@ def _scaled(
     coarse = large and unit.x.shape[1] <= FLAT
     if prices is None and unit.spare < SPARE * len(unit.x):
         prices = solve(
-            operations, unit.measures(), regularization(EPSILON**0.5), TOLERANCE, ITERATIONS,
-            "float32", lambda share: report(Share(0.3 * share, "prices")),
+            operations, unit.measures(),
+            regularization(EPSILON**0.5, tol=TOLERANCE, max_iter=ITERATIONS, precision="float32"),
+            lambda share: report(Share(0.3 * share, "prices")),
             truncation=TRUNCATION if large else "auto", multiscale=coarse or "auto",
         ).g  # fmt: skip
     elif prices is None:
         prices = g  # most points of the larger cloud are left, whose prices are 0
-    plans = None if start is not None else plan_search(unit, DRAWN, gap, operations, seed)
     found = solved(
         unit, prices, EPSILON, gap, seed,
         lambda share: report(Share(0.3 + 0.7 * share, getattr(share, "note", ""))), start,
-        constant / scale, plans,
+        constant / scale, operations, DRAWN,
     )  # fmt: skip
     f, g = (scale * each for each in found.prices)
     return Solution(found.columns, (f, g), scale * found.cost, scale * found.bound, found.reached)
@@ -265,13 +269,3 @@ def _weights(value: Any, count: int, swapped: bool) -> Array:
     if not weights.any():
         raise InputError("weights are all 0: expected a positive one")
     return weights
-
-
-def _result(found: Solution, unit: float, swapped: bool) -> Assignment:
-    rows = np.arange(len(found.columns))
-    f, g = (unit * each for each in found.prices)
-    cost, bound = unit * found.cost, unit * found.bound
-    if not swapped:
-        return Assignment(rows, found.columns, cost, bound, (f, g))
-    order = np.argsort(found.columns)
-    return Assignment(found.columns[order], order, cost, bound, (g, f))

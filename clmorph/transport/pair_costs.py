@@ -1,9 +1,8 @@
 """Costs of pairs of points to be assigned, and each point's cheapest pairs at some prices."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +61,8 @@ class Costs:
         for begin in range(0, len(points), size):
             check_cancelled()
             some = points[begin : begin + size]
-            costs = self._block(some, None) if side == 0 else self._block(None, some).T
+            every = slice(None)
+            costs = self._block(some, every) if side == 0 else self._block(every, some).T
             costs = costs - prices
             if count == 1:
                 found[begin : begin + size] = costs.argmin(axis=1)[:, None]
@@ -99,12 +99,11 @@ class Costs:
         unit = 1e-4 * max(self.scale, np.finfo(float).tiny) ** 0.5
         return _ranks(self.x) * unit, _ranks(self.y) * unit
 
-    def _block(self, rows: Indices | None, columns: Indices | None) -> Array:
+    def _block(self, rows: Any, columns: Any) -> Array:
         from scipy.spatial.distance import cdist  # takes long to import
 
-        chosen = slice(None) if rows is None else rows
-        costs = cdist(self.x[chosen], self.y if columns is None else self.y[columns], "sqeuclidean")
-        costs *= 0.5 if self.weights is None else self.weights[chosen, None] / 2
+        costs = cdist(self.x[rows], self.y[columns], "sqeuclidean")
+        costs *= 0.5 if self.weights is None else self.weights[rows, None] / 2
         return costs
 
     def measures(self) -> tuple[WeightedPoints, WeightedPoints]:

@@ -166,10 +166,8 @@ class Plan:
         >>> forth.round(3).tolist(), back.round(3).tolist()
         ([[0.25], [0.5], [0.75]], [[0.174], [0.826]])
         """
-        source, target = (
-            as_floats(name, points, "an array (N, D) of points")
-            for name, points in (("source", source), ("target", target))
-        )
+        source = as_floats("source", source, "an array (N, D) of points")
+        target = as_floats("target", target, "an array (N, D) of points")
         sizes = source.shape[:1], target.shape[:1]
         if (
             not source.ndim == target.ndim == 2

@@ -13,7 +13,7 @@ from clmorph._shared.typing import Array, BoolArray
 from clmorph.backends.records import PlanRows, PlanTerms
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError, PlanSizeError
-from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.measures.points import AnyMeasure, MeasureLike, Pair, as_pair
 from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport.options import PlanOptions, PruningOptions, RelativeTo
 from clmorph.transport.plan import BYTES_PER_PAIR, Plan
@@ -58,25 +58,15 @@ def no_pair_kept(log_threshold: float, largest: float) -> InputError:
     )
 
 
-def undecided(log_threshold: float, rounding: float) -> float:
-    """Return a bound of the error of a device's log pi_ij near the threshold, in nats."""
-    return ROUNDINGS * (rounding + FLOAT32 * max(1.0, abs(log_threshold)))
-
-
 def strictly_above(
-    pairs: PlanRows,
-    source: AnyMeasure,
-    target: AnyMeasure,
-    potentials: Potentials,
-    log_threshold: float,
-    margin: float,
+    pairs: PlanRows, pair: Pair, potentials: Potentials, log_threshold: float, margin: float
 ) -> PlanRows:
     """Drop pairs not above the threshold in float64, so that a device's rounding has no effect.
 
-    `pairs` are all above `log_threshold - margin` (nats, see `undecided`) as a device computed
-    them; those this near to the threshold are computed again.
+    `pairs` are all above `log_threshold - margin`, in nats, as a device computed them; those this
+    near to the threshold are computed again.
     """
-    log_mass = _log(pairs.mass)
+    (source, target), log_mass = pair, _log(pairs.mass)
     keep = log_mass > log_threshold
     near = np.flatnonzero(np.abs(log_mass - log_threshold) <= margin)
     i = np.searchsorted(pairs.indptr, near, side="right") - 1
@@ -186,7 +176,8 @@ def transport_plan(
         )
     margin = 0.0
     if log_threshold is not None:
-        margin = undecided(log_threshold, of_rows.rounding)
+        # A bound of the error of a device's log pi_ij near the threshold, in nats.
+        margin = ROUNDINGS * (of_rows.rounding + FLOAT32 * max(1.0, abs(log_threshold)))
         row_thresholds = np.full(len(f), log_threshold - margin)
         column_thresholds = np.full(len(g), np.inf)
     else:
@@ -213,7 +204,7 @@ def transport_plan(
         )
     pairs = operations.plan_rows(plan, potentials.precise, counts)
     if log_threshold is not None:
-        pairs = strictly_above(pairs, source, target, potentials, log_threshold, margin)
+        pairs = strictly_above(pairs, pair, potentials, log_threshold, margin)
         if not len(pairs.mass):
             row_maxima = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon + log_a
             raise no_pair_kept(log_threshold, float(row_maxima.max()))

@@ -373,22 +373,3 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     ):
         raise InputError(f"{name}: the certificate is not of these potentials; {expected}")
     return value
-
-
-#: Share by which the marginal of a plan may differ from the marginal in its potentials, beside
-#: rounding and truncation. It is far more than these cause, and far less than the difference that
-#: other measures cause.
-FOREIGN = 0.01
-
-
-def check_origin(potentials: Potentials, row_mass: Array, rounding: float) -> None:
-    """Check that a plan's marginal, (N,), is that of potentials, up to `rounding` in nats."""
-    nats = 4.0 * rounding + 2.0 * potentials.truncation_error + (potentials.truncation or 0.0)
-    own = potentials.row_mass
-    most = (FOREIGN + np.expm1(min(nats, 100.0))) * max(float(own.sum()), float(row_mass.sum()))
-    if not float(np.abs(row_mass - own).sum()) <= most:
-        raise InputError(
-            "potentials are of other measures: the plan of these has other marginals than "
-            "potentials.row_mass; expected the measures that they were computed for, in the same "
-            "order"
-        )

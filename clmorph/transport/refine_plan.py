@@ -1,7 +1,5 @@
 """Convert a plan between blocks of pixels to a plan between pixels, which are then drawn."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -37,14 +35,11 @@ def refined(
         columns, there = _at_place(target, j, place, side)
         pairs = np.flatnonzero(inside | there)
         parts.append((pairs, rows[pairs], columns[pairs]))
-    weights = [a[rows] * b[columns] for _, rows, columns in parts]
-    whole = sum(
-        np.bincount(pairs, weight, len(plan))
-        for (pairs, _, _), weight in zip(parts, weights, strict=True)
-    )
     pairs, rows, columns = (np.concatenate(values) for values in zip(*parts, strict=True))
+    weights = a[rows] * b[columns]
+    whole = np.bincount(pairs, weights, len(plan))
     per_pair = np.divide(plan.mass, whole, out=np.zeros(len(plan)), where=whole > 0)
-    mass = np.concatenate(weights) * per_pair[pairs]
+    mass = weights * per_pair[pairs]
     # If no place has mass in both blocks, the heaviest pixels represent the blocks.
     lone = np.flatnonzero(whole == 0)
     rows = np.concatenate((rows, source.heaviest[i[lone]]))
@@ -132,16 +127,10 @@ def _in_turn(
     # The remainder of the level selects one of the places that a pixel covers in a larger block.
     inner = np.clip((owner + level - ends[found]) / np.maximum(share[found], 1e-12) + 1, 0, 1)
     pixels = order[found]
-    row, column = np.divmod(pixels, blocks.fine.shape[1])
+    inside = np.stack(np.divmod(pixels, blocks.fine.shape[1])) % blocks.side
     per_pixel = finest // blocks.side
     sub = np.minimum((inner * per_pixel**2).astype(np.int64), per_pixel**2 - 1)
-    place = np.stack(
-        (
-            row % blocks.side * per_pixel + sub // per_pixel,
-            column % blocks.side * per_pixel + sub % per_pixel,
-        )
-    )
-    return pixels, place
+    return pixels, inside * per_pixel + np.stack(np.divmod(sub, per_pixel))
 
 
 def _at_place(

@@ -1,7 +1,5 @@
 """Entropic regularization and marginal penalty, each given as a length or in cost units."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -11,7 +9,7 @@ import numpy as np
 
 from clmorph._shared.validation import as_float, shown
 from clmorph.errors import InputError
-from clmorph.transport.options import LENGTH, Reach, SolverOptions
+from clmorph.transport.options import LENGTH, AlgorithmOptions, Reach, SolverOptions
 
 #: What is said of arguments in the order of other libraries.
 OTHER_ORDER = (
@@ -34,23 +32,30 @@ def refuses_other_order(function: Callable[_Given, _Result]) -> Callable[_Given,
     return call
 
 
-class Regularization(NamedTuple):
-    """Checked entropic regularization and marginal penalty."""
+class Goal(NamedTuple):
+    """Checked entropic regularization and marginal penalty, and when a solve ends."""
 
     blur: float
     reach: Reach  #: a pair only if its halves differ
-    epsilon: float
     rho: tuple[float, float]  #: infinite where balanced
+    tol: float
+    max_iter: int
+    precision: str
+
+    @property
+    def epsilon(self) -> float:
+        """The square of blur, in cost units."""
+        return self.blur**2
 
 
 def regularization(
-    blur: Any = None, reach: Any = None, epsilon: Any = None, rho: Any = None
-) -> Regularization:
+    blur: Any = None, reach: Any = None, epsilon: Any = None, rho: Any = None,
+    tol: Any = SolverOptions.tol, max_iter: Any = SolverOptions.max_iter, precision: Any = "auto",
+) -> Goal:  # fmt: skip
     """Check blur or epsilon = blur^2, and reach or rho = reach^2; None is usual, or balanced."""
-    for value in (blur, reach):
-        # As other libraries are called; a pair of reaches is no array of measures.
-        if len(getattr(value, "shape", ())) > 1 or (value is blur and _has_axes(blur)):
-            raise InputError(OTHER_ORDER)
+    # As other libraries are called; a pair of reaches is no array of measures.
+    if _has_axes(blur) or len(getattr(reach, "shape", ())) > 1:
+        raise InputError(OTHER_ORDER)
     if epsilon is not None:
         _check_alone("blur", blur, "epsilon", epsilon)
         blur = _root("epsilon", epsilon, _check_blur)
@@ -60,9 +65,11 @@ def regularization(
     blur = _check_blur(SolverOptions.blur if blur is None else blur)
     lengths = _each("reach", reach, _check_reach)
     rhos = tuple(np.inf if length is None else length**2 for length in lengths)
-    return Regularization(
-        blur, lengths[0] if lengths[0] == lengths[1] else lengths, blur**2, (rhos[0], rhos[1])
-    )
+    AlgorithmOptions.checked("precision", precision)
+    return Goal(
+        blur, lengths[0] if lengths[0] == lengths[1] else lengths, (rhos[0], rhos[1]),
+        SolverOptions.checked("tol", tol), SolverOptions.checked("max_iter", max_iter), precision,
+    )  # fmt: skip
 
 
 def _check_alone(length: str, value: Any, square: str, given: Any) -> None:

@@ -9,29 +9,22 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array, Progress
-from clmorph._shared.validation import check_flag, check_progress
+from clmorph._shared.validation import check_choice, check_flag, check_progress
 from clmorph.backends.interface import Operations
 from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.records import LastPasses
 from clmorph.backends.select import Backend, get_backend
-from clmorph.errors import ConvergenceWarning
+from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.grid import are_grids
 from clmorph.measures.measure import Measure
-from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.transport._solver.checks import (
-    check_grid_options,
-    check_problem,
-    check_solver_options,
-    choose_truncation,
-    is_large,
-)
+from clmorph.measures.points import MeasureLike, Pair, as_pair
 from clmorph.transport._solver.iteration import SHORT, Iteration, Outcome
 from clmorph.transport._solver.multiscale import Multiscale
-from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.problem import Problem, check_problem, choose_truncation, is_large
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import AlgorithmOptions, Method, Precision, Reach, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Regularization, refuses_other_order, regularization
+from clmorph.transport.regularization import Goal, refuses_other_order, regularization
 
 
 @refuses_other_order
@@ -140,28 +133,31 @@ def sinkhorn(
     >>> bool(potentials.dual <= potentials.primal)  # they enclose the optimal value
     True
     """
-    given = regularization(blur, reach, epsilon, rho)
-    tol, max_iter, scaling = check_solver_options(
-        tol, max_iter, method, scaling, precision, multiscale
-    )
+    AlgorithmOptions.checked("method", method)
+    scaling = AlgorithmOptions.checked("scaling", scaling)
+    if not isinstance(multiscale, bool | np.bool_):
+        check_choice("multiscale", multiscale, ("auto",))
+    goal = regularization(blur, reach, epsilon, rho, tol, max_iter, precision)
     verify = check_flag("verify", verify)
     report = check_progress(progress)
     pair = as_pair(source, target)
-    grids = are_grids(*pair)
-    check_grid_options(grids, truncation, multiscale)
+    if are_grids(*pair) and (multiscale is True or not isinstance(truncation, str | None)):
+        raise InputError(
+            "between grids all cells are summed, an axis after the other: expected truncation and "
+            "multiscale as they are by default"
+        )
     operations = for_one_solve(get_backend(backend))
-    check_problem(*pair, given, operations, precision, tol)
+    check_problem(pair, goal, operations)
     g = None
     if start is not None:
         g = check_potentials("start", start, (len(pair[0]), len(pair[1]))).g
     if method == "geomloss":
-        choose_truncation(truncation, tol, False)  # it is checked, and not used
-        problem = Problem.between(operations, *pair, given.rho)
-        found = _geomloss(problem, given, scaling, tol, precision, report)
+        choose_truncation(truncation, goal.tol, False)  # it is checked, and not used
+        found = _geomloss(Problem.between(operations, *pair, goal.rho), goal, scaling, report)
     else:
         found = solve(
-            operations, pair, given, tol, max_iter, precision, report, truncation=truncation, g=g,
-            multiscale=multiscale, verify=verify, keep=True,
+            operations, pair, goal, report, truncation=truncation, g=g, multiscale=multiscale,
+            verify=verify, keep=True,
         )  # fmt: skip
         warn_unless_converged(found.status, found.message, 4)
     # Points of a cost with a metric for each source pixel have no coordinates of their own.
@@ -171,11 +167,8 @@ def sinkhorn(
 
 def solve(
     operations: Operations,
-    pair: tuple[AnyMeasure, AnyMeasure],
-    given: Regularization,
-    tol: float,
-    max_iter: int,
-    precision: str,
+    pair: Pair,
+    goal: Goal,
     report: Progress,
     *,
     truncation: Any = "auto",
@@ -191,22 +184,24 @@ def solve(
     The problem of a measure with itself has equal potentials, unless it is solved through coarser
     problems or from g. With `keep` the result keeps the near pairs, if it has such.
     """
-    limit = choose_truncation(truncation, tol, is_large(pair, operations))
-    problem = Problem.between(operations, *pair, given.rho, limit, clouds)
-    options = given.blur, tol, max_iter, precision, report
+    many = is_large(pair, operations)
+    limit = choose_truncation(truncation, goal.tol, many)
+    problem = Problem.between(operations, *pair, goal.rho, limit, clouds)
     ended: Outcome
-    many = is_large(pair, operations) and max_iter >= SHORT
-    if g is None and multiscale is not True and is_symmetric(pair, given.rho):
-        ended = solve_symmetric(problem, *options).outcome()
-    elif many if multiscale == "auto" else multiscale:
-        ended = Multiscale(problem, pair, *options).run(g)
+    if g is None and multiscale is not True and is_symmetric(pair, goal.rho):
+        ended = solve_symmetric(problem, goal, report).outcome()
+    elif many and goal.max_iter >= SHORT if multiscale == "auto" else multiscale:
+        ended = Multiscale(problem, pair, goal, report).run(g)
     else:
-        iteration = Iteration(problem, *options, exact=exact)
-        iteration.run(g)
-        ended = iteration.outcome()
+        ended = Iteration(problem, goal, report, exact=exact).run(g).outcome()
     if verify and limit is not None:
-        _take_all_pairs(ended, given.epsilon)
-    found = finish(ended, given, limit)
+        # The last softmins are computed once more, over all pairs.
+        for softmin in problem.softmins:
+            softmin.release()
+        ended.state = problem.measured(ended.state.f, ended.state.g, goal.epsilon)
+        if ended.state.residual > goal.tol and ended.status == "converged":
+            ended.status = "precision"
+    found = finish(ended, limit)
     return replace(found, passes=_passes(ended)) if keep else found
 
 
@@ -222,28 +217,13 @@ def _passes(ended: Outcome) -> LastPasses | None:
     )  # fmt: skip
 
 
-def _take_all_pairs(ended: Outcome, epsilon: float) -> None:
-    """Compute the last softmins once more, over all pairs."""
-    problem, state = ended.problem, ended.state
-    for softmin in (problem.to_rows, problem.to_columns):
-        softmin.release()
-    ended.state = problem.measured(state.f, state.g, epsilon)
-    if ended.state.residual > ended.tol and ended.status == "converged":
-        ended.status = "precision"
-
-
-def _geomloss(
-    problem: Problem,
-    given: Regularization,
-    scaling: float,
-    tol: float,
-    precision: str,
-    report: Progress,
-) -> Potentials:
+def _geomloss(problem: Problem, goal: Goal, scaling: float, report: Progress) -> Potentials:
     """Run GeomLoss's schedule: one averaged step at each blur, without a test of convergence."""
-    rounding = problem.rounding(given.epsilon, precise=False)
-    precise = precision == "float64" or (precision == "auto" and rounding > 0.1 * tol)
-    schedule = geomloss_blurs(float(np.sqrt(2 * problem.largest_cost)), given.blur, scaling)
+    rounding = problem.rounding(goal.epsilon, precise=False)
+    precise = goal.precision == "float64" or (
+        goal.precision == "auto" and rounding > 0.1 * goal.tol
+    )
+    schedule = geomloss_blurs(float(np.sqrt(2 * problem.largest_cost)), goal.blur, scaling)
 
     def both(f: Array, g: Array, epsilon: float) -> tuple[Array, Array]:
         source, target = problem.damping(epsilon)
@@ -255,17 +235,17 @@ def _geomloss(
         new_f, new_g = both(f, g, level**2)
         f, g = 0.5 * (f + new_f), 0.5 * (g + new_g)
         report((number + 1) / len(schedule))
-    f, g = both(f, g, given.epsilon)
+    f, g = both(f, g, goal.epsilon)
     n_iter = len(schedule) + 2
-    state = problem.measured(f, g, given.epsilon)
+    state = problem.measured(f, g, goal.epsilon)
     residual = state.residual
     return Potentials(
-        f, g, given.blur, given.reach,
-        status="converged" if residual <= tol else "schedule",
+        f, g, goal.blur, goal.reach,
+        status="converged" if residual <= goal.tol else "schedule",
         message=f"GeomLoss's schedule, {n_iter} iterations, left a residual of {residual:.1e} "
         "epsilon; method='certified' goes on until it is small",
         n_iter=n_iter, residual=residual, residuals=np.array([residual]),
-        certificate=problem.certificate(f, g, state.t_rows, state.t_columns, given.epsilon),
+        certificate=problem.certificate(f, g, state.t_rows, state.t_columns, goal.epsilon),
         precise=precise,
         truncation_error=problem.error,
     )  # fmt: skip
@@ -285,13 +265,13 @@ def geomloss_blurs(diameter: float, blur: float, scaling: float) -> list[float]:
     return [diameter, *np.exp(falling / 2), blur]
 
 
-def finish(ended: Outcome, given: Regularization, truncation: float | None) -> Potentials:
+def finish(ended: Outcome, truncation: float | None) -> Potentials:
     """Return the potentials that the iteration has reached."""
-    problem, state = ended.problem, ended.state
+    problem, state, goal = ended.problem, ended.state, ended.goal
     return Potentials(
-        state.f, state.g, given.blur, given.reach, ended.status, _how(ended), ended.n_iter,
+        state.f, state.g, goal.blur, goal.reach, ended.status, _how(ended), ended.n_iter,
         state.residual, np.array(ended.residuals),
-        problem.certificate(state.f, state.g, state.t_rows, state.t_columns, given.epsilon),
+        problem.certificate(state.f, state.g, state.t_rows, state.t_columns, goal.epsilon),
         ended.precise, truncation, problem.error, problem.visited,
     )  # fmt: skip
 
@@ -299,8 +279,10 @@ def finish(ended: Outcome, given: Regularization, truncation: float | None) -> P
 def _how(ended: Outcome) -> str:
     """Return how a solve ended, and a remedy if it missed; numbers are in units of epsilon."""
     reached = f"residual {ended.state.residual:.1e} epsilon"
-    missed = f"not converged after {ended.n_iter} iterations: {reached}, wanted {ended.tol:.1e}"
-    other = "precision='auto'" if ended.precision == "float32" else "'numpy'"
+    missed = (
+        f"not converged after {ended.n_iter} iterations: {reached}, wanted {ended.goal.tol:.1e}"
+    )
+    other = "precision='auto'" if ended.goal.precision == "float32" else "'numpy'"
     return {
         "converged": f"converged in {ended.n_iter} iterations ({reached})",
         "max_iter": f"{missed}; raise max_iter, or use a larger blur or a smaller reach",

@@ -16,16 +16,20 @@ from clmorph.backends.multi_device import members_of, turns
 from clmorph.backends.select import Backend, get_backend
 from clmorph.backends.threads import results_in_order
 from clmorph.errors import InputError
-from clmorph.measures.points import AnyMeasure, Checked, MeasureLike, as_many, as_pair
+from clmorph.measures.points import Checked, MeasureLike, Pair, as_many, as_pair
 from clmorph.transport._solver.batch import NotFiniteError, problem_of_many
-from clmorph.transport._solver.checks import check_problem, check_solver_options, is_large
 from clmorph.transport._solver.iteration import Iteration
+from clmorph.transport._solver.problem import check_problem, is_large
 from clmorph.transport._solver.softmin import overflow
 from clmorph.transport._solver.symmetric import is_symmetric, solve_symmetric
 from clmorph.transport.options import AlgorithmOptions, Precision, Reach, SolverOptions
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import Regularization, regularization
+from clmorph.transport.regularization import Goal, regularization
 from clmorph.transport.sinkhorn import finish, solve, warn_unless_converged
+
+#: The numbers of problems that were solved together, and their solve, or the number of one that was
+#: solved by itself, and its end.
+Part = tuple[IntArray, Iteration] | tuple[int, Potentials]
 
 
 class PotentialsBatch(Items[Potentials]):
@@ -57,18 +61,19 @@ class PotentialsBatch(Items[Potentials]):
     """
 
     def __init__(self, parts: Iterable[Part], count: int) -> None:
-        self._place: dict[int, tuple[Solved, int]] = {}
+        self._place: dict[int, tuple[Iteration, int]] = {}
         self._made: dict[int, Potentials] = {}
         self.statuses = [""] * count
         self.residuals, self.n_iter = np.zeros(count), np.zeros(count, np.int64)
         for part in parts:
-            if isinstance(part, tuple):
+            if isinstance(part[1], Potentials):
                 self._put(*part)
                 continue
-            for place, number in enumerate(part.numbers):
-                self._place[int(number)] = part, place
-                self.statuses[number] = part.statuses[place]
-            self.residuals[part.numbers], self.n_iter[part.numbers] = part.residuals, part.n_iter
+            numbers, ended = part
+            for place, number in enumerate(numbers):
+                self._place[int(number)] = ended, place
+                self.statuses[number] = ended.status[place]
+            self.residuals[numbers], self.n_iter[numbers] = ended.residual, ended.n_iter
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what is pickled: all potentials, which need no device."""
@@ -90,34 +95,14 @@ class PotentialsBatch(Items[Potentials]):
     def _item(self, number: int) -> Potentials:
         """Return the potentials of a problem."""
         if number not in self._made:
-            part, place = self._place[number]
-            self._made[number] = part.make(place)
+            ended, place = self._place[number]
+            self._made[number] = finish(ended.outcome(place), None)
         return self._made[number]
 
     def _put(self, number: int, potentials: Potentials) -> None:
         """Let a problem have other potentials."""
         self._made[number], self.statuses[number] = potentials, potentials.status
         self.residuals[number], self.n_iter[number] = potentials.residual, potentials.n_iter
-
-
-class Solved:
-    """Problems that were solved together."""
-
-    def __init__(self, numbers: IntArray, iteration: Iteration, given: Regularization) -> None:
-        self.numbers, self._iteration, self._given = numbers, iteration, given
-        self.statuses: list[str] = list(iteration.status)
-        self.residuals, self.n_iter = iteration.residual, iteration.n_iter
-        # Certificates, which may be asked for much later, need no clouds.
-        for softmin in (iteration.problem.to_rows, iteration.problem.to_columns):
-            softmin.rows = softmin.columns = None
-
-    def make(self, place: int) -> Potentials:
-        """Return the potentials of a problem, by its place among these."""
-        return finish(self._iteration.outcome(place), self._given, None)
-
-
-#: Problems that were solved together, or the number of one that was solved by itself, and its end.
-Part = Solved | tuple[int, Potentials]
 
 
 def batch_of(potentials: Sequence[Potentials]) -> PotentialsBatch:
@@ -206,12 +191,10 @@ def sinkhorn_batch(
             f"sinkhorn_batch has no option {name!r}: expected the options that define the problem, "
             "and precision, backend and progress; use clmorph.sinkhorn for a single problem"
         )
-    given = regularization(blur, reach, epsilon, rho)
-    tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
+    goal = regularization(blur, reach, epsilon, rho, tol, max_iter, precision)
     report = check_progress(progress)
     pairs = checked_pairs(as_many("sources", sources), as_many("targets", targets))
-    operations = get_backend(backend)
-    found = solve_many(pairs, given, tol, max_iter, operations, precision, report)
+    found = solve_many(pairs, goal, get_backend(backend), report)
     warn_of_missed(found, problem_name)
     return found
 
@@ -230,7 +213,7 @@ def warn_of_missed(found: PotentialsBatch, name: Callable[[int], str]) -> None:
         warn_unless_converged("missed", message, 4)
 
 
-def checked_pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasure, AnyMeasure]]:
+def checked_pairs(sources: list[Any], targets: list[Any]) -> list[Pair]:
     """Return the checked measures of every problem."""
     if len(sources) != len(targets):
         raise InputError(
@@ -250,12 +233,9 @@ def checked_pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasu
 
 
 def solve_many(
-    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]],
-    given: Regularization,
-    tol: float,
-    max_iter: int,
+    pairs: Sequence[Pair],
+    goal: Goal,
     operations: Operations,
-    precision: str,
     report: Progress,
     name: Callable[[int], str] = problem_name,
     exact: bool = False,
@@ -263,8 +243,8 @@ def solve_many(
     """Solve the problems of checked pairs of measures, without a warning."""
     for number, pair in enumerate(pairs):
         with errors_about(name(number)):
-            check_problem(*pair, given, operations, precision, tol)
-    lists = together(pairs, given.rho, len(members_of(operations)))
+            check_problem(pair, goal, operations)
+    lists = together(pairs, goal.rho, len(members_of(operations)))
     done, lock = [0.0] * len(lists), threading.Lock()
 
     def part(member: int, place: int) -> Part:
@@ -277,18 +257,18 @@ def solve_many(
                 done[place] = value * len(own)
                 report(sum(done) / len(pairs))
 
-        options = tol, max_iter, precision, share
         try:
             if _is_single(own[0]):
-                return numbers[0], solve(device, own[0], given, *options, exact=exact)
-            problem = problem_of_many(device, own, given.rho)
-            if is_symmetric(own[0], given.rho):
-                return Solved(
-                    np.array(numbers), solve_symmetric(problem, given.blur, *options), given
-                )
-            iteration = Iteration(problem, given.blur, *options, exact=exact)
-            iteration.run()
-            return Solved(np.array(numbers), iteration, given)
+                return numbers[0], solve(device, own[0], goal, share, exact=exact)
+            problem = problem_of_many(device, own, goal.rho)
+            if is_symmetric(own[0], goal.rho):
+                ended = solve_symmetric(problem, goal, share)
+            else:
+                ended = Iteration(problem, goal, share, exact=exact).run()
+            # Certificates, which may be asked for much later, need no clouds.
+            for softmin in ended.problem.softmins:
+                softmin.rows = softmin.columns = None
+            return np.array(numbers), ended
         except NotFiniteError as error:
             raise overflow(f"{name(numbers[error.problem])}: points") from None
         except InputError as error:
@@ -304,14 +284,12 @@ def solve_many(
     return PotentialsBatch(parts, len(pairs))
 
 
-def _is_single(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
+def _is_single(pair: Pair) -> bool:
     """Return whether a problem is solved by itself."""
     return is_large(pair) or max(len(measure) for measure in pair) > MAX_BATCH
 
 
-def together(
-    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float], devices: int = 1
-) -> list[list[int]]:
+def together(pairs: Sequence[Pair], rho: tuple[float, float], devices: int = 1) -> list[list[int]]:
     """Return the problems solved together, of one dimension and kind, in lists for devices."""
     lists: list[list[int]] = []
     #: The list of each kind that is not full, and its numbers of points.

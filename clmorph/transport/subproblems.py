@@ -5,11 +5,10 @@ parts are the problem whose cost between different labels is infinite, so the su
 are the values of that problem.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -20,12 +19,12 @@ from clmorph.images.label_maps import MAX_LABELS, label_text
 from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.measures.points import as_pair
-from clmorph.transport._solver.checks import MASS_TOLERANCE, check_problem
+from clmorph.transport._solver.problem import MASS_TOLERANCE, check_problem
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.plan import Plan, plan_of_pairs
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import Regularization
+from clmorph.transport.regularization import Goal
 from clmorph.transport.sinkhorn import solve
 
 
@@ -53,10 +52,7 @@ class Subproblem:
         whole = self.source.coarse, self.target.coarse
         if self.points is None:
             return whole
-        source, target = (
-            _chosen(measure, chosen) for measure, chosen in zip(whole, self.points, strict=True)
-        )
-        return source, target
+        return _chosen(whole[0], self.points[0]), _chosen(whole[1], self.points[1])
 
     @property
     def pairs(self) -> int:
@@ -73,10 +69,7 @@ class Subproblem:
         return Plan(
             np.concatenate(([0], np.cumsum(counts))),
             self.points[1][plan.indices].astype(np.int32), plan.mass, shape,
-            *(
-                _scattered(values, chosen, count)
-                for values, chosen, count in zip(plan.marginals, self.points, shape, strict=True)
-            ),
+            *map(_scattered, plan.marginals, self.points, shape),
         )  # fmt: skip
 
     def means_of_blocks(self, plan: Barycentric) -> Barycentric:
@@ -106,17 +99,11 @@ class Subproblem:
 
 def _chosen(measure: Measure, chosen: IntArray) -> Measure:
     """Return some points of a measure as a measure, whose shape is that of a single row."""
-
-    def some(values: Array | None) -> Array | None:
-        return None if values is None else values[chosen]
-
-    metric = measure.color_metric
-    return replace(
-        measure, positions=measure.positions[chosen], colors=measure.colors[chosen],
-        weights=measure.weights[chosen], shape=(1, len(chosen)),
-        color_metric=some(metric) if measure.has_metric_map else metric,
-        alpha=some(measure.alpha), warped=some(measure.warped), features=some(measure.features),
-    )  # fmt: skip
+    names = ["positions", "colors", "weights", "alpha", "warped", "features"]
+    names += ["color_metric"] * measure.has_metric_map
+    parts = {name: getattr(measure, name) for name in names}
+    kept: Any = {name: part[chosen] for name, part in parts.items() if part is not None}
+    return replace(measure, shape=(1, len(chosen)), **kept)
 
 
 def _scattered(values: Array, chosen: IntArray, count: int) -> Array:
@@ -130,29 +117,25 @@ def by_label(
     target: Measure,
     labels: tuple[IntArray, IntArray],
     solve_size: int | None,
-    given: Regularization,
+    goal: Goal,
 ) -> list[Subproblem]:
     """Divide the problem between two images into those of the labels, (H, W), that both have.
 
     A block of pixels of several labels becomes a point of each of them, with the mass and the mean
     of its pixels, so that labels stay apart exactly whatever the size of the blocks.
     """
-    names, sizes = zip(
-        *(_masses(measure, each) for measure, each in zip((source, target), labels, strict=True)),
-        strict=True,
-    )
-    count = len(np.union1d(*names))
+    masses = list(map(_masses, (source, target), labels))
+    count = len(masses[0].keys() | masses[1].keys())
     if count > MAX_LABELS:
         raise InputError(f"labels: {count} different ones: expected at most {MAX_LABELS}")
-    masses = [dict(zip(*both, strict=True)) for both in zip(names, sizes, strict=True)]
-    common = sorted(set(masses[0]) & set(masses[1]))
+    common = sorted(masses[0].keys() & masses[1].keys())
     if not common:
-        shown = " and ".join(_some(each) for each in names)
+        shown = " and ".join(_some(list(each)) for each in masses)
         raise InputError(
             f"labels: no label has mass in both images ({shown}), so nothing would move: give "
             "what belongs together the same label"
         )
-    _check_balance(masses, given)
+    _check_balance(masses, goal)
     parts = []
     for label in common:
         blocks = [
@@ -167,12 +150,11 @@ def by_label(
     return parts
 
 
-def _masses(measure: Measure, labels: IntArray) -> tuple[list[int], list[float]]:
-    """Return the labels that have mass in an image, and their masses."""
+def _masses(measure: Measure, labels: IntArray) -> dict[int, float]:
+    """Return the masses of the labels that have some in an image."""
     names, index = np.unique(labels.ravel(), return_inverse=True)
-    masses = np.bincount(index, measure.weights, len(names))
-    there = masses > 0
-    return names[there].tolist(), masses[there].tolist()
+    masses = np.bincount(index, measure.weights, len(names)).tolist()
+    return {name: mass for name, mass in zip(names.tolist(), masses, strict=True) if mass > 0}
 
 
 def _some(names: list[int]) -> str:
@@ -180,10 +162,10 @@ def _some(names: list[int]) -> str:
     return shown + (", …" if len(names) > 4 else "")
 
 
-def _check_balance(masses: list[dict[int, float]], given: Regularization) -> None:
+def _check_balance(masses: list[dict[int, float]], goal: Goal) -> None:
     """Refuse labels whose mass cannot all move, on sides that are balanced."""
-    balanced = [bool(np.isinf(rho)) for rho in given.rho]
-    for label in sorted(set(masses[0]) | set(masses[1])):
+    balanced = [bool(np.isinf(rho)) for rho in goal.rho]
+    for label in sorted(masses[0].keys() | masses[1].keys()):
         one, other = (each.get(label, 0.0) for each in masses)
         lost = any(
             fixed and own > 0 == partner
@@ -200,9 +182,7 @@ def _check_balance(masses: list[dict[int, float]], given: Regularization) -> Non
 def solve_parts(
     parts: Sequence[Subproblem],
     masses: tuple[float, float],
-    given: Regularization,
-    tol: float,
-    max_iter: int,
+    goal: Goal,
     operations: Operations,
     report: Progress,
 ) -> tuple[list[Potentials], Potentials]:
@@ -215,21 +195,21 @@ def solve_parts(
     total, done = sum(part.pairs for part in parts), 0
     for part in parts:
         pair = as_pair(*part.measures)
-        check_problem(*pair, given, operations, "auto", tol)
+        check_problem(pair, goal, operations)
 
         def share(own: float, before: int = done, pairs: int = part.pairs) -> None:
             report((before + own * pairs) / total)
 
-        found.append(solve(operations, pair, given, tol, max_iter, "auto", share))
+        found.append(solve(operations, pair, goal, share))
         done += part.pairs
-    return found, _together(parts, found, masses, given)
+    return found, _together(parts, found, masses, goal)
 
 
 def _together(
     parts: Sequence[Subproblem],
     solved: Sequence[Potentials],
     masses: tuple[float, float],
-    given: Regularization,
+    goal: Goal,
 ) -> Potentials:
     """Return the potentials of all parts as one."""
     worst = max(range(len(solved)), key=lambda k: (not solved[k].converged, solved[k].residual))
@@ -247,9 +227,9 @@ def _together(
     pairs = [part.pairs for part in parts]
     return Potentials(
         np.concatenate([each.f for each in solved]), np.concatenate([each.g for each in solved]),
-        given.blur, given.reach, first.status, message, n_iter, first.residual,
+        goal.blur, goal.reach, first.status, message, n_iter, first.residual,
         max((each.residuals for each in solved), key=len),
-        _joint_certificate([each.certificate for each in solved], masses, given),
+        _joint_certificate([each.certificate for each in solved], masses, goal),
         any(each.precise for each in solved), max(truncations, default=None),
         max(each.truncation_error for each in solved),
         float(np.average([each.visited for each in solved], weights=pairs)),
@@ -257,16 +237,16 @@ def _together(
 
 
 def _joint_certificate(
-    parts: Sequence[Certificate], masses: tuple[float, float], given: Regularization
+    parts: Sequence[Certificate], masses: tuple[float, float], goal: Goal
 ) -> Certificate:
     """Add up certificates; pairs of other labels and mass without a partner are constants."""
-    constant = given.epsilon * (
+    constant = goal.epsilon * (
         masses[0] * masses[1] - sum(each.masses[0] * each.masses[1] for each in parts)
     )
     for side in (0, 1):
         alone = masses[side] - sum(each.masses[side] for each in parts)
-        if np.isfinite(given.rho[side]):
-            constant += given.rho[side] * max(alone, 0.0)
+        if np.isfinite(goal.rho[side]):
+            constant += goal.rho[side] * max(alone, 0.0)
     primal, dual, gap, error, transported = (
         sum(getattr(each, name) for each in parts)
         for name in ("primal", "dual", "gap", "marginal_error", "transported_mass")

@@ -357,6 +357,9 @@ def test_mistakes_in_files(refused):
     for text, words in cases.items():
         Path("x.toml").write_text(text)
         assert words in refused("morph", "a.png", "b.png", "-o", "o.gif", "--config", "x.toml")
+    Path("x.toml").write_text('labels = ["a.png", "b.png"]')
+    told = refused("mix", "a.png", "b.png", "-o", "o.png", "--config", "x.toml")
+    assert "labels: mixes take none; remove them" in told
     for name, words in (
         ("missing.toml", "no such file"),
         ("a.png", "holds no parameters of clmorph"),

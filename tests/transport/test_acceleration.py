@@ -11,6 +11,7 @@ from clmorph.measures.points import WeightedPoints
 from clmorph.transport._solver.anderson import Anderson
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
+from clmorph.transport.regularization import regularization
 
 KINDS = [
     "random", "two far clusters", "one place and many", "equal", "line", "duplicates", "ten orders",
@@ -73,9 +74,8 @@ def test_rounding_beyond_its_bound_leaves_the_acceleration(bias):
         problem.softmin = lambda side, old, epsilon, *flags: (
             exact(side, old, epsilon, *flags) + side * bias * epsilon
         )
-        iteration = Iteration(
-            problem, 0.03, 1e-4, 5000, "auto", lambda share: None, certify=False
-        )  # fmt: skip
+        goal = regularization(0.03, tol=1e-4, max_iter=5000)
+        iteration = Iteration(problem, goal, lambda share: None, certify=False)
         iteration.run(np.zeros(80))
         found = iteration.outcome()
         assert found.status == "converged"

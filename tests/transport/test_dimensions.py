@@ -5,7 +5,7 @@ import pytest
 
 import clmorph
 from clmorph.measures.points import as_pair
-from clmorph.transport._solver.checks import is_large
+from clmorph.transport._solver.problem import is_large
 
 DIMENSIONS = [12, 13, 17, 30, 50, 64, 128, 1024]
 BLUR, REACH = 0.3, 1.0

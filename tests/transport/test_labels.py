@@ -239,7 +239,7 @@ def test_large_labels_go_through_coarser_problems(monkeypatch, rng):
     with monkeypatch.context() as changed:
         changed.setattr(softmin, "MANY_PAIRS", 1)
         solved, whole = subproblems.solve_parts(
-            found, (source.mass, target.mass), given, 1e-3, 2000, clmorph.get_backend("numpy"),
+            found, (source.mass, target.mass), given, clmorph.get_backend("numpy"),
             lambda share: None,
         )  # fmt: skip
     assert whole.truncation is not None

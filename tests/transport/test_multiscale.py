@@ -27,6 +27,7 @@ from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport._solver.steps import DeviceSteps, HostSteps, new_steps
+from clmorph.transport.regularization import regularization
 
 
 def pictures(side, noise=0.0, color_weight=1.0):
@@ -122,7 +123,8 @@ def test_pairs_left_out_do_not_stop_a_coarse_problem(device):
     epsilon = 0.1**2
     for softmin in (problem.to_rows, problem.to_columns):
         softmin.reserve = 0.9  # leaves out about as much as after a bad guess
-    iteration = Iteration(problem, 0.1, 1e-4, 400, "float32", annealing.ignore, certify=False)
+    goal = regularization(0.1, tol=1e-4, max_iter=400, precision="float32")
+    iteration = Iteration(problem, goal, annealing.ignore, certify=False)
     iteration.run(None)
     found = iteration.outcome()
     assert problem.left_out > 1e-3
@@ -176,7 +178,8 @@ def stored_near(device, side, blur, rho):
     g = sinkhorn(source, target, blur, reach, 0.3, backend=device).g
     f, g, t_rows, _ = problem.half_step(0, g, problem.softmin(0, g, epsilon, True), epsilon)
     t_columns = problem.softmin(1, f, epsilon, True)
-    grid = stored_grid(problem, f, g, (t_rows, t_columns), epsilon, 10**8, STORED_CHOICES)
+    state = multiscale.State(f, g, t_rows, t_columns, np.inf)
+    grid = stored_grid(problem, state, epsilon, 10**8, STORED_CHOICES)
     return problem, f, g, t_rows, t_columns, grid
 
 
@@ -285,7 +288,8 @@ def test_large_problems_take_clusters_that_save_less(monkeypatch):
         if np.prod([len(make_clusters(each, blur).measure) for each in pair]) <= 0.48 * pairs
     )
     problem = Problem.between(clmorph.get_backend("numpy"), *pair, (0.09, 0.09))
-    solve = multiscale.Multiscale(problem, pair, blur, 1e-5, 500, "auto", lambda share: None)
+    goal = regularization(blur, tol=1e-5, max_iter=500)
+    solve = multiscale.Multiscale(problem, pair, goal, lambda share: None)
     assert solve._choose_clusters() is None
     monkeypatch.setattr(multiscale, "ENOUGH_OF_MANY", ((10**6, 0.9), (1, 0.5)))
     clusters = solve._choose_clusters()
@@ -352,7 +356,8 @@ def test_choices_that_have_had_too_many_pairs_are_not_tried_again(monkeypatch, t
     first, second, last = STORED_CHOICES
     monkeypatch.setattr(multiscale, "STORED_PER_POINT", 1)
     monkeypatch.setattr(multiscale, "STORED", grid.problem.to_rows.stored.n_pairs - 1)
-    solve = multiscale.Multiscale(problem, sharp(24), blur, 1e-5, 500, "auto", lambda share: None)
+    goal = regularization(blur, tol=1e-5, max_iter=500)
+    solve = multiscale.Multiscale(problem, sharp(24), goal, lambda share: None)
     solve.state = multiscale.State(f, g, t_rows, t_columns, 1.1 * last.residual)
     for _ in range(2):
         assert solve._stored_grid().problem.choice == second

@@ -10,11 +10,12 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph.measures.cluster import Clusters, make_clusters
-from clmorph.measures.points import AnyMeasure
+from clmorph.measures.points import Pair
 from clmorph.transport._solver.coarse_grid import expanded
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem, State
 from clmorph.transport._solver.softmin import Softmin, many_pairs
+from clmorph.transport.regularization import Goal
 
 #: Side of the clusters at a level, in units of its blur.
 ANNEALING_SIDE = 1.0
@@ -37,12 +38,12 @@ class _Level(NamedTuple):
     """A larger blur, with the clusters of the points of the next finer level, if they are fewer."""
 
     blur: float
-    pair: tuple[AnyMeasure, AnyMeasure]
+    pair: Pair
     clusters: tuple[Clusters, Clusters] | None
-    points: tuple[AnyMeasure, AnyMeasure]
+    points: Pair
 
 
-def _coarser(pair: tuple[AnyMeasure, AnyMeasure], blur: float) -> _Level:
+def _coarser(pair: Pair, blur: float) -> _Level:
     """Return the level of a blur above a pair of measures."""
     source, target = (make_clusters(measure, ANNEALING_SIDE * blur) for measure in pair)
     pairs = len(source.measure) * len(target.measure)
@@ -51,42 +52,31 @@ def _coarser(pair: tuple[AnyMeasure, AnyMeasure], blur: float) -> _Level:
     return _Level(blur, (source.measure, target.measure), (source, target), pair)
 
 
-def anneal(
-    problem: Problem,
-    pair: tuple[AnyMeasure, AnyMeasure],
-    finest: Problem,
-    blur: float,
-    max_iter: int,
-) -> Array:
+def anneal(problem: Problem, pair: Pair, finest: Problem, goal: Goal) -> Array:
     """Return initial potentials g, (M,), from larger blurs over larger clusters.
 
     The measures `pair` are those of the problem `finest`: the points, or clusters of them. Its
     softmins receive first guesses.
     """
-    top = problem.top_blur
+    top, blur = problem.top_blur, goal.blur
     levels: list[_Level] = []
+    problems = [finest]
     while len(pair[0]) * len(pair[1]) > FEW_PAIRS and blur < top:
         blur *= 2
         levels.append(_coarser(pair, blur))
+        problems.append(_level_problem(problem, levels[-1], problems[-1]))
         pair = levels[-1].pair
     g: Array | None = None
     prolonged: list[Array] | None = None
-    problems = [finest]
-    for level in levels:
-        problems.append(_level_problem(problem, level, problems[-1]))
-    for level, coarse in reversed(list(zip(levels, problems[1:], strict=True))):
-        iteration = Iteration(
-            coarse, level.blur, CLUSTER_TOLERANCE, max_iter, "float32", ignore, certify=False,
-            patience=LEVEL_PATIENCE,
-        )  # fmt: skip
-        iteration.run(g)
-        state = iteration.outcome().state
-        problems.pop()
+    while levels:
+        level, coarse, fine = levels.pop(), problems.pop(), problems[-1]
+        aim = goal._replace(blur=level.blur, tol=CLUSTER_TOLERANCE, precision="float32")
+        iteration = Iteration(coarse, aim, ignore, certify=False, patience=LEVEL_PATIENCE)
+        state = iteration.run(g).outcome().state
         # Potentials are close to linear in epsilon, of which three quarters go at each level, so
         # the line through the last two levels is continued to the next one.
         reached = [state.t_rows, state.t_columns]
         begun = reached if prolonged is None else prolonged
-        fine = problems[-1]
         changes = [now - before for now, before in zip(reached, begun, strict=True)]
         if level.clusters is None:
             prolonged = reached
@@ -124,25 +114,20 @@ def _prolong(
     Near pairs are chosen by the expansion around the clusters. At a few points that is off by
     tens of nats, too much to take the place of the softmins.
     """
-
-    def at_points(
-        softmin: Softmin, potential: Array, clusters: Clusters, measure: AnyMeasure, own: Softmin
-    ) -> Array:
+    assert level.clusters is not None
+    result, epsilon = [], level.blur**2
+    for side, potential in enumerate((state.g, state.f)):
+        softmin, own = coarse.softmins[side], fine.softmins[side]
         weights = own.weights[0], softmin.weights[1]
         truncation = _level_truncation(problem, len(weights[0]), len(weights[1]))
-        result = Softmin(problem.operations, own.rows, softmin.columns, weights, truncation)
+        of_points = Softmin(problem.operations, own.rows, softmin.columns, weights, truncation)
         # The softmin is computed once, from an estimate, so its truncation is not proven.
-        result.reserve, result.proven = LEVEL_RESERVE, False
+        of_points.reserve, of_points.proven = LEVEL_RESERVE, False
         if truncation is not None:
-            result.guess = expanded(softmin, potential, level.blur**2, clusters, measure)
-        return result(potential, level.blur**2)
-
-    assert level.clusters is not None
-    (source, target), points = level.clusters, level.points
-    return [
-        at_points(coarse.to_rows, state.g, source, points[0], fine.to_rows),
-        at_points(coarse.to_columns, state.f, target, points[1], fine.to_columns),
-    ]
+            near = level.clusters[side], level.points[side]
+            of_points.guess = expanded(softmin, potential, epsilon, *near)
+        result.append(of_points(potential, epsilon))
+    return result
 
 
 def prepare(problem: Problem, reserve: float) -> Problem:

@@ -5,13 +5,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from clmorph._shared.boxes import boxes_of_runs
 from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.interface import Operations
-from clmorph.backends.records import NearPairs
-from clmorph.measures.points import AnyMeasure
+from clmorph.measures.points import AnyMeasure, Pair
 from clmorph.transport._solver.problem import Problem, cost_across
 from clmorph.transport._solver.reductions import Segments
-from clmorph.transport._solver.softmin import Softmin, overflow
+from clmorph.transport._solver.softmin import Softmin
 
 
 class _Side(NamedTuple):
@@ -34,20 +34,11 @@ class BatchSoftmin(Softmin):
         self.numbers, self._starts = numbers, rows.of.starts
         self.n_columns = columns.of.counts
 
-    def _over(
-        self, near: NearPairs | None, potential: Array, epsilon: float, precise: bool, bounded: bool
-    ) -> Array:
-        arguments = self.rows, self.columns, potential, epsilon
-        self.roundoff = 0.0
-        if bounded:
-            softmin, self.roundoff = self.operations.bounded_softmin(*arguments)
-        else:
-            softmin = self.operations.softmin(*arguments, precise)
-        if not np.all(np.isfinite(softmin)):
-            place = int(np.argmin(np.isfinite(softmin)))
-            raise NotFiniteError(
-                int(self.numbers[np.searchsorted(self._starts, place, side="right") - 1])
-            )
+    def checked(self, softmin: Array) -> Array:
+        finite = np.isfinite(softmin)
+        if not finite.all():
+            problem = np.searchsorted(self._starts, int(np.argmin(finite)), side="right") - 1
+            raise NotFiniteError(int(self.numbers[problem]))
         return softmin
 
 
@@ -59,24 +50,13 @@ class NotFiniteError(Exception):
         self.problem = problem
 
 
-def not_finite(problem: Problem, number: int) -> Exception:
-    """Return the error for one of many problems, or the only one, whose softmin overflowed."""
-    return (
-        NotFiniteError(int(problem.to_rows.numbers[number]))
-        if problem.of_rows.shape
-        else overflow("points")
-    )
-
-
 def _uploaded(
     operations: Operations, measures: list[AnyMeasure]
 ) -> tuple[_Side, tuple[Array, Array]]:
     """Return one side, with the ranges of its offsets, and the corners of boxes, (B, D)."""
     of = Segments(np.array([len(measure) for measure in measures]))
-    points, weights = (
-        np.concatenate([getattr(measure, name) for measure in measures])
-        for name in ("points", "weights")
-    )
+    points = np.concatenate([measure.points for measure in measures])
+    weights = np.concatenate([measure.weights for measure in measures])
     offsets, ranges = None, np.zeros(len(measures))
     if any(measure.offsets is not None for measure in measures):
         offsets = np.concatenate([
@@ -85,12 +65,12 @@ def _uploaded(
         ])  # fmt: skip
         ranges = of.largest(offsets) + of.largest(-offsets)
     cloud = operations.upload_batch(points, weights, of.counts, offsets)
-    corners = np.minimum.reduceat(points, of.starts), np.maximum.reduceat(points, of.starts)
-    return _Side(of, weights, cloud, ranges), corners
+    low, high = boxes_of_runs(points, of.starts)
+    return _Side(of, weights, cloud, ranges), (low, high)
 
 
 def problem_of_many(
-    operations: Operations, pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float]
+    operations: Operations, pairs: Sequence[Pair], rho: tuple[float, float]
 ) -> Problem:
     """Return the problems of many pairs (source, target), all in one dimension, as one."""
     rows, (low, high) = columns, others = _uploaded(operations, [source for source, _ in pairs])
@@ -138,10 +118,7 @@ def one_of(problem: Problem, number: int, roundoffs: Array) -> Problem:
     """Return one problem, with the bounds of its last softmins; one of many has no clouds."""
     if not problem.of_rows.shape:
         return problem
-    a, b = (
-        of.part(weights, number)
-        for of, weights in zip(problem.reductions, (problem.a, problem.b), strict=True)
-    )
+    a, b = problem.of_rows.part(problem.a, number), problem.of_columns.part(problem.b, number)
     softmins = [Softmin(problem.operations, None, None, each) for each in ((a, b), (b, a))]
     for softmin, roundoff in zip(softmins, roundoffs.tolist(), strict=True):
         softmin.roundoff = roundoff

@@ -16,7 +16,7 @@ from clmorph.backends.records import (
 )
 from clmorph.measures.cluster import Clusters
 from clmorph.measures.points import AnyMeasure
-from clmorph.transport._solver.problem import MASS_ROUNDING, Problem
+from clmorph.transport._solver.problem import MASS_ROUNDING, Problem, State
 from clmorph.transport._solver.softmin import Softmin, check_finite
 from clmorph.transport.certificate import Side
 
@@ -90,20 +90,19 @@ class CorrectedProblem(Problem):
         return [side._replace(left_out=0.0) for side in sides]
 
 
-class Reordering:
-    """The restriction to a coarse problem that has the points in another order, (N,)."""
+class Reordering(NamedTuple):
+    """The restriction to a coarse problem that has the points in another order."""
 
-    def __init__(self, order: IntArray) -> None:
-        self._order = order
+    order: IntArray
 
     def restrict(self, values: Array, weights: Array) -> Array:
         """Return the values in the coarse problem's order."""
-        return values[self._order]
+        return values[self.order]
 
     def points_of(self, values: Array) -> Array:
         """Return values of the coarse problem in the order of the points."""
         result = np.empty_like(values)
-        result[self._order] = values
+        result[self.order] = values
         return result
 
 
@@ -247,21 +246,14 @@ class StoredProblem(CorrectedProblem):
 
 
 def stored_grid(
-    problem: Problem,
-    f: Array,
-    g: Array,
-    softmins: tuple[Array, Array],
-    epsilon: float,
-    most: int,
-    choices: Iterable[StoredChoice],
+    problem: Problem, state: State, epsilon: float, most: int, choices: Iterable[StoredChoice]
 ) -> CoarseGrid | None:
     """Return the problem over the pairs of notable mass near (f, g); None if they are too many.
 
-    Of the choices the first one that has at most `most` pairs is taken. The softmins are T(g),
-    T(f).
+    Of the choices the first one that has at most `most` pairs is taken.
     """
-    near = problem.to_rows.near, problem.to_columns.near
-    potentials, sides = (f, g), range(2)
+    near, sides = (problem.to_rows.near, problem.to_columns.near), range(2)
+    potentials, softmins = (state.f, state.g), (state.t_rows, state.t_columns)
     # Logarithms of the marginals, above shares of which pairs are stored.
     wholes = [
         (potentials[side] - softmins[side]) / epsilon + problem.logarithms[side] for side in sides
@@ -271,7 +263,7 @@ def stored_grid(
             np.where(np.isneginf(each), np.inf, each + np.log(choice.share)) for each in wholes
         )
         try:
-            plan = PlanTerms(problem.rows, problem.columns, f, g, epsilon, by_row, by_column)
+            plan = PlanTerms(problem.rows, problem.columns, *potentials, epsilon, by_row, by_column)
             stored = problem.operations.store_pairs(plan, most, near)
         except ProgramError as error:
             error.tell("no pairs are stored between iterations, which then take longer")
@@ -289,7 +281,7 @@ def stored_grid(
             )
             for side in sides
         )  # fmt: skip
-        plan_mass = float(problem.marginal(0, f, softmins[0], epsilon).sum())
+        plan_mass = float(problem.marginal(0, state.f, state.t_rows, epsilon).sum())
         smaller = StoredProblem(problem, (to_rows, to_columns), choice, plan_mass, epsilon)
         return CoarseGrid(smaller, Reordering(orders[0]), Reordering(orders[1]), to_columns)
     return None

@@ -19,6 +19,7 @@ from clmorph._shared.typing import Array, IntArray
 from clmorph.transport._solver.batch import one_of, some
 from clmorph.transport._solver.problem import ROUNDING_MARGIN, Problem, State
 from clmorph.transport._solver.steps import Steps, new_steps
+from clmorph.transport.regularization import Goal
 
 #: Factor between the blurs of the annealing.
 ANNEALING = 0.5
@@ -54,8 +55,7 @@ class Outcome:
     """The solve of one problem, with the numbers of `Iteration`."""
 
     problem: Problem
-    tol: float
-    precision: str
+    goal: Goal
     state: State
     status: str
     residuals: list[float]
@@ -74,11 +74,10 @@ class Outcome:
 class Iteration:
     """The solve of one problem, or of many, by Sinkhorn's iteration, annealed and extrapolated.
 
-    The residual shall be `tol`, in units of epsilon, after at most `max_iter` iterations of
-    `softmins` each, of which `begun` were before. After `patience` of them without a new best
-    residual it ends, if rounding explains that. `certify` makes the last softmins bounded ones.
-    With `exact` all sums are exact, and all levels are solved to `tol`: between groups of points
-    far apart, mass finds its way at large blurs alone.
+    Its iterations have `softmins` each, of which `begun` were before. After `patience` of them
+    without a new best residual it ends, if rounding explains that. `certify` makes the last
+    softmins bounded ones. With `exact` all sums are exact, and all levels are solved to the
+    tolerance: between groups of points far apart, mass finds its way at large blurs alone.
 
     The result is f, t_rows (N,) and g, t_columns (M,), and for each of B problems the residual, the
     bounds `roundoffs` of T(g) and T(f) in nats, (2, B), the status, the largest residual that
@@ -86,10 +85,7 @@ class Iteration:
     """
 
     problem: Problem
-    blur: float
-    tol: float
-    max_iter: int
-    precision: str
+    goal: Goal
     report: Callable[[float], None]
     certify: bool = True
     patience: int = STALLED
@@ -101,7 +97,7 @@ class Iteration:
     def __post_init__(self) -> None:
         problem = self.problem
         problem.exact_sums = self.exact
-        self._level_tol = self.tol if self.exact else LEVEL_TOLERANCE
+        self._level_tol = self.goal.tol if self.exact else LEVEL_TOLERANCE
         self._done, self._level_share, self._reported = 0.0, 1.0, 0.0
         self._everyone = np.arange(np.size(problem.masses[0]))
         count = len(self._everyone)
@@ -136,30 +132,30 @@ class Iteration:
         f, t_rows = (rows.part(each, number).copy() for each in (self.f, self.t_rows))
         g, t_columns = (columns.part(each, number).copy() for each in (self.g, self.t_columns))
         return Outcome(
-            one_of(self.problem, number, self.roundoffs[:, number]), self.tol, self.precision,
+            one_of(self.problem, number, self.roundoffs[:, number]), self.goal,
             State(f, g, t_rows, t_columns, float(self.residual[number])), self.status[number],
             self.histories[number].tolist(), int(self.n_softmin[number]), self.softmins,
             float(self.rounding[number]), bool(self.precise[number]),
         )  # fmt: skip
 
-    def run(self, start: Array | None = None) -> None:
+    def run(self, start: Array | None = None) -> "Iteration":
         """Iterate from potentials g, or from the largest blur of each problem's annealing."""
-        problem, columns = self.problem, self.problem.of_columns
+        problem, columns, goal = self.problem, self.problem.of_columns, self.goal
         tops = np.atleast_1d(problem.top_blur)
         before = np.zeros_like(self.g)
         levels = []
         if start is not None:
             self.g[:] = start
         else:
-            levels = annealing(problem, self.blur, float(tops.max()), self.max_iter)
+            levels = annealing(problem, goal, float(tops.max()))
         self._level_share = 1.0 / (len(levels) + 3)
-        limit = int(ANNEALING_SHARE * self.max_iter)
+        limit = int(ANNEALING_SHARE * goal.max_iter)
         for number, level in enumerate(levels):
-            epsilon, following = level**2, [*levels, self.blur][number + 1] ** 2
+            epsilon, following = level**2, [*levels, goal.blur][number + 1] ** 2
             # Potentials are close to linear in epsilon, so the line through the last two levels is
             # continued to the next one.
             beyond = (tops > level / ANNEALING) & (number > 0)
-            more = problem.needs_more(self.precision, epsilon, self._level_tol)
+            more = problem.needs_more(goal.precision, epsilon, self._level_tol)
             for precise in (False, True):
                 numbers = np.flatnonzero((tops > level) & (more == precise))
                 if not len(numbers):
@@ -175,27 +171,30 @@ class Iteration:
         self._level_share = 1.0 - self._done
         self._last_level()
         self._report_share(1.0)
+        return self
 
     def _report_share(self, share: float) -> None:
         """Report the share of the work that is done, which never falls."""
         self._reported = max(self._reported, share)
         if self.problem.of_rows.shape:
-            note = f"{np.count_nonzero(self.residual <= self.tol)} of {len(self.status)} problems"
+            note = (
+                f"{np.count_nonzero(self.residual <= self.goal.tol)} of {len(self.status)} problems"
+            )
         else:
-            note = f"residual {self._records[-1][2]:.0e} of {self.tol:.0e}"
+            note = f"residual {self._records[-1][2]:.0e} of {self.goal.tol:.0e}"
         self.report(Share(self._reported, note))
 
     def _last_level(self) -> None:
         """Iterate in float32 as far as its rounding allows, then with better exponents."""
-        problem, epsilon, limit = self.problem, self.blur**2, self.max_iter
-        operations, exact = problem.operations, problem.exact_sums
-        self.precise[:] = problem.needs_more(self.precision, epsilon, self.tol)
+        problem, goal, epsilon = self.problem, self.goal, self.goal.epsilon
+        limit, operations, exact = goal.max_iter, problem.operations, problem.exact_sums
+        self.precise[:] = problem.needs_more(goal.precision, epsilon, goal.tol)
         left = [(which, np.flatnonzero(self.precise == which)) for which in (False, True)]
-        if self.precision == "auto" and operations.exponent_roundoff > operations.precise_roundoff:
-            tol = np.full(len(self._everyone), self.tol)
+        if goal.precision == "auto" and operations.exponent_roundoff > operations.precise_roundoff:
+            tol = np.full(len(self._everyone), goal.tol)
             if self.precise.any():
                 measured = LEAVING_MARGIN * self._measured_rounding(left[1][1], epsilon)
-                tol[self.precise] = np.maximum(self.tol, measured)
+                tol[self.precise] = np.maximum(goal.tol, measured)
             residual = self._iterate(self._everyone, epsilon, tol, limit, False, leave=True)
             out = (self.status == "max_iter") & (residual > tol)
             # Float32 was enough if precise softmins confirm the residual.
@@ -207,15 +206,18 @@ class Iteration:
             for share in (1.0, *REPEATED):
                 if not len(numbers):
                     break
-                self._iterate(numbers, epsilon, share * self.tol, limit, precise)
+                self._iterate(numbers, epsilon, share * goal.tol, limit, precise)
                 converged = self.status[numbers] == "converged"
                 self._measure(numbers, epsilon, precise, precise)
                 status = self.status[numbers]
                 # The bound of the rounding can have lifted a residual above the tolerance.
                 again = converged & (status != "converged")
-                if self.certify:
+                coarse = operations.sum_roundoff > operations.precise_roundoff
+                coarse = coarse and not problem.exact_sums and goal.precision == "auto"
+                if self.certify and coarse and problem.truncation is None:
+                    # Sums in float32 have ended a solve whose tolerance exact sums can reach.
                     bounds = self.roundoffs.max(axis=0)[numbers]
-                    further = may_sum_exactly(problem, status, self.precision, self.tol, bounds)
+                    further = (status == "precision") & (bounds < EXACT_SHARE * goal.tol)
                     again |= further
                     problem.exact_sums |= bool(further.any())
                 numbers = numbers[again & (self.n_iter[numbers] < limit)]
@@ -240,7 +242,7 @@ class Iteration:
         self.residual[numbers] = residual
         self.roundoffs[0, numbers] = problem.to_rows.roundoff
         self.roundoffs[1, numbers] = problem.to_columns.roundoff
-        within = self.residual[numbers] <= self.tol
+        within = self.residual[numbers] <= self.goal.tol
         missed = ~within & (self.status[numbers] == "converged")
         self.status[numbers[within]] = "converged"
         # In exact arithmetic the last half-step can only lower the residual.
@@ -326,7 +328,7 @@ class Iteration:
             # The dual that the plain iteration has reached.
             floor = of.choose(live, column_dual, floor)
             # An extrapolation can cost one softmin more, which the limit must allow.
-            may = running & live & (n_iter + 1 < limit) & (self.max_iter >= SHORT)
+            may = running & live & (n_iter + 1 < limit) & (self.goal.max_iter >= SHORT)
             guessed = steps.go_on(may)
             if of.any(ended) and np.count_nonzero(running) <= (1 - STOPPED) * len(current):
                 kept = np.flatnonzero(running)
@@ -340,22 +342,14 @@ class Iteration:
                 )  # fmt: skip
 
 
-def may_sum_exactly(problem: Problem, status: Any, precision: str, tol: float, error: Any) -> Any:
-    """Return whether sums in float32 have ended a solve, whose tolerance exact sums can reach."""
-    operations = problem.operations
-    coarse = operations.sum_roundoff > operations.precise_roundoff and not problem.exact_sums
-    possible = coarse and precision == "auto" and problem.truncation is None
-    return possible & (status == "precision") & (error < EXACT_SHARE * tol)
-
-
-def annealing(problem: Problem, blur: float, top: float, max_iter: int) -> list[float]:
+def annealing(problem: Problem, goal: Goal, top: float) -> list[float]:
     """Return the blurs of the annealing, falling, below `top`, without the last one."""
-    slowest = np.prod(problem.damping(blur**2))
-    if slowest <= EASY or max_iter < SHORT:
+    slowest = np.prod(problem.damping(goal.epsilon))
+    if slowest <= EASY or goal.max_iter < SHORT:
         return []
-    level = blur / ANNEALING
+    level = goal.blur / ANNEALING
     levels: list[float] = []
-    while level < top and len(levels) < max_iter // 8:
+    while level < top and len(levels) < goal.max_iter // 8:
         levels.append(level)
         level /= ANNEALING
     return levels[::-1]

@@ -12,14 +12,13 @@ transport problems" (2019), for annealing with refinement; Brandt, "Multi-level 
 to boundary-value problems" (1977), for the correction (his full approximation scheme).
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from clmorph._shared.typing import Array
+from clmorph._shared.typing import Array, Progress
 from clmorph.measures.cluster import Clusters, join_points, label_cubes
-from clmorph.measures.points import AnyMeasure
+from clmorph.measures.points import Pair
 from clmorph.transport._solver.annealing import anneal, ignore, prepare
 from clmorph.transport._solver.coarse_grid import (
     STORED_CHOICES,
@@ -38,6 +37,7 @@ from clmorph.transport._solver.softmin import (
     Softmin,
     many_pairs,
 )
+from clmorph.transport.regularization import Goal
 
 #: Candidate sides of the clusters at the last blur, in units of this blur, and a bound for each:
 #: the number of pairs of clusters as a share of the number of pairs of points. The first side
@@ -103,20 +103,10 @@ FINENESSES = (
 class Multiscale(Outcome):
     """One solve of a large problem between two measures, by iterations over its points."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        pair: tuple[AnyMeasure, AnyMeasure],
-        blur: float,
-        tol: float,
-        max_iter: int,
-        precision: str,
-        report: Callable[[float], None],
-    ) -> None:
+    def __init__(self, problem: Problem, pair: Pair, goal: Goal, report: Progress) -> None:
         none = State(*(np.zeros(0),) * 4, np.inf)
-        super().__init__(problem, tol, precision, none, "max_iter", [], 0, 2, 0.0, False)
-        self._pair, self._blur, self._max_iter = pair, blur, max_iter
-        self._report, self._reported = report, 0.0
+        super().__init__(problem, goal, none, "max_iter", [], 0, 2, 0.0, False)
+        self._pair, self._report, self._reported = pair, report, 0.0
         self._floor = CYCLE_FLOOR  # of the clusters
         #: The choices of pairs to store that are not known to have too many.
         self._choices = list(STORED_CHOICES)
@@ -131,11 +121,10 @@ class Multiscale(Outcome):
         """Return the problem of the clusters, if cycles correct it, and first potentials g."""
         clusters = self._choose_clusters()
         if clusters is None:
-            g = start
-            if g is None:
-                g = anneal(self.problem, self._pair, self.problem, self._blur, self._max_iter)
+            if start is None:
+                start = anneal(self.problem, self._pair, self.problem, self.goal)
             prepare(self.problem, LEAST_RESERVE)
-            return None, g
+            return None, start
         grid = self._clusters_grid(*clusters)
         sizes = zip(clusters, self._pair, strict=True)
         share = np.prod([len(own.measure) / len(points) for own, points in sizes])
@@ -145,7 +134,7 @@ class Multiscale(Outcome):
         g = start
         if g is None:
             coarse = clusters[0].measure, clusters[1].measure
-            g = anneal(self.problem, coarse, grid.problem, self._blur, self._max_iter)
+            g = anneal(self.problem, coarse, grid.problem, self.goal)
             self._report_share(0.2)
             g = self._first(grid, clusters, g)
             self._report_share(0.3)
@@ -160,7 +149,7 @@ class Multiscale(Outcome):
         bounds = *ENOUGH[:-1], next(many, ENOUGH[-1])
         pairs = sizes[0] * sizes[1]
         for side, enough in zip(SIDES, bounds, strict=True):
-            cubes = [label_cubes(measure.points, side * self._blur) for measure in self._pair]
+            cubes = [label_cubes(measure.points, side * self.goal.blur) for measure in self._pair]
             if cubes[0][1] * cubes[1][1] <= enough * pairs:
                 own = zip(self._pair, cubes, strict=True)
                 return [join_points(measure, *each) for measure, each in own]
@@ -184,12 +173,10 @@ class Multiscale(Outcome):
 
     def _stored_grid(self) -> CoarseGrid | None:
         """Return the problem of the pairs that have notable mass now; None if they are too many."""
-        f, g, t_rows, t_columns, residual = self.state
-        usual = STORED_PER_POINT * max(len(f), len(g))
+        usual = STORED_PER_POINT * max(len(self.state.f), len(self.state.g))
         most = max(STORED, usual, min(2 * usual, MANY_STORED))
-        choices = [each for each in self._choices if residual <= each.residual]
-        softmins = t_rows, t_columns
-        grid = stored_grid(self.problem, f, g, softmins, self._blur**2, most, choices)
+        choices = [each for each in self._choices if self.state.residual <= each.residual]
+        grid = stored_grid(self.problem, self.state, self.goal.epsilon, most, choices)
         # A choice that has had too many pairs is not tried again.
         too_many = choices
         if grid is not None:
@@ -200,7 +187,7 @@ class Multiscale(Outcome):
 
     def _first(self, grid: CoarseGrid, clusters: list[Clusters], g: Array) -> Array:
         """Solve the problem of the clusters from potentials g and prolong them to the points."""
-        epsilon = self._blur**2
+        epsilon = self.goal.epsilon
         state = self._solve_grid(grid, g, FIRST_TOLERANCE)
         own, coarse = self._pair, grid.problem
         self.problem.to_rows.guess = expanded(coarse.to_rows, state.g, epsilon, clusters[0], own[0])
@@ -212,25 +199,24 @@ class Multiscale(Outcome):
         """Solve a coarse problem from potentials g to a residual."""
         # Exponents of stored pairs are small, so float32 is enough for them.
         stored = isinstance(grid.problem, StoredProblem)
-        precise = not stored and grid.problem.needs_more(self.precision, self._blur**2, tol)
-        iteration = Iteration(
-            grid.problem, self._blur, tol, self._max_iter,
-            "auto" if precise else "float32", ignore, certify=False,
-        )  # fmt: skip
-        iteration.run(g)
-        return iteration.outcome().state
+        precision, epsilon = self.goal.precision, self.goal.epsilon
+        precise = not stored and grid.problem.needs_more(precision, epsilon, tol)
+        goal = self.goal._replace(tol=tol, precision="auto" if precise else "float32")
+        return Iteration(grid.problem, goal, ignore, certify=False).run(g).outcome().state
 
     def _iterate_points(self, tol: float, g: Array, last: bool) -> Outcome:
         """Continue from potentials g with iterations over the points alone, to a residual."""
         reported = end = self._reported
-        end = 1.0 if last else max(end, 0.3 + 0.7 * share_done(self.residuals[0], tol, self.tol))
+        end = (
+            1.0 if last else max(end, 0.3 + 0.7 * share_done(self.residuals[0], tol, self.goal.tol))
+        )
+        most = self.goal.max_iter - (0 if last else SPARE_ITERATIONS)
         iteration = Iteration(
-            self.problem, self._blur, tol, self._max_iter - (0 if last else SPARE_ITERATIONS),
-            self.precision, lambda share: self._report_share(reported + (end - reported) * share),
+            self.problem, self.goal._replace(tol=tol, max_iter=most),
+            lambda share: self._report_share(reported + (end - reported) * share),
             certify=last, begun=self.n_softmin,
         )  # fmt: skip
-        iteration.run(g)
-        found = iteration.outcome()
+        found = iteration.run(g).outcome()
         self.n_softmin = found.n_softmin
         # The last one is measured again, unless this is the end.
         self.residuals += found.residuals[: None if last else -1]
@@ -238,17 +224,17 @@ class Multiscale(Outcome):
 
     def _cycle(self, grid: CoarseGrid | None, g: Array) -> None:
         """Alternate one iteration over the points with a solve of the coarse problem."""
-        problem, epsilon = self.problem, self._blur**2
+        problem, epsilon, own_tol = self.problem, self.goal.epsilon, self.goal.tol
         before, expected, reached, failures = np.inf, np.inf, 0.0, 0.0
         failure = 1.0  # what a failure of the last cycle counts
         waits = True  # whether iterations over the points may lead to pairs that can be stored
         while True:
             # Lists of near pairs leave out large exponents, so the bound can fall meanwhile.
-            self.precise = problem.needs_more(self.precision, epsilon, self.tol)
+            self.precise = problem.needs_more(self.goal.precision, epsilon, own_tol)
             coarse = problem.rounding(epsilon, precise=False)
             precise = self.precise and before <= SWITCH * coarse
             # The iteration that is likely to be the last one computes what a certificate needs.
-            last = expected <= self.tol
+            last = expected <= own_tol
             t_rows = problem.softmin(0, g, epsilon, precise, last)
             f, g, t_rows, _ = problem.half_step(0, g, t_rows, epsilon)
             t_columns = problem.softmin(1, f, epsilon, precise, last)
@@ -256,16 +242,16 @@ class Multiscale(Outcome):
             residual = problem.residual(f, g, t_rows, t_columns, epsilon)
             self.state = State(f, g, t_rows, t_columns, residual)
             self.residuals.append(residual)
-            self._report_share(0.3 + 0.7 * share_done(self.residuals[0], residual, self.tol))
+            self._report_share(0.3 + 0.7 * share_done(self.residuals[0], residual, own_tol))
             rounding = problem.rounding(epsilon, precise)
             self.rounding = ROUNDING_MARGIN * rounding
-            done = residual <= self.tol - (0.0 if precise or last else rounding)
-            out = self.n_iter >= self._max_iter
+            done = residual <= own_tol - (0.0 if precise or last else rounding)
+            out = self.n_iter >= self.goal.max_iter
             if done or out:
                 if not last:
                     self.state = problem.measured(f, g, epsilon)
                     self.residuals[-1] = self.state.residual
-                self.status = "converged" if self.state.residual <= self.tol else "max_iter"
+                self.status = "converged" if self.state.residual <= own_tol else "max_iter"
                 if out or self.status == "converged":
                     return
             image = problem.half_step(1, f, t_columns, epsilon).new
@@ -279,30 +265,30 @@ class Multiscale(Outcome):
             elif grid is None:
                 grid = self._stored_grid()
             if grid is None:
-                more = self.n_iter + SPARE_ITERATIONS < self._max_iter
+                more = self.n_iter + SPARE_ITERATIONS < self.goal.max_iter
                 if waits and more and any(each.residual < residual for each in self._choices):
                     # Once the residual is small, one of these choices may have few enough pairs.
-                    tol, waits = max(STORED_FROM, self.tol), False
+                    tol, waits = max(STORED_FROM, own_tol), False
                     g = self._iterate_points(tol, image, last=False).state.g
                     before = expected = np.inf
                     continue
                 prepare(
                     self.problem, LEAST_RESERVE if self.residuals[-1] > FAR else SETTLED_RESERVE
                 )
-                found = self._iterate_points(self.tol, image, last=True)
+                found = self._iterate_points(own_tol, image, last=True)
                 self.state, self.status, self.precise = found.state, found.status, found.precise
                 self.rounding = found.rounding
                 return
             g, reached, left = self._correct(grid, image)
             failure = AT_THE_EDGE if left else 1.0
             expected = np.inf if np.isinf(before) else residual * min(1.0, residual / before)
-            if isinstance(grid.problem, StoredProblem) and reached <= self.tol:
+            if isinstance(grid.problem, StoredProblem) and reached <= own_tol:
                 expected = reached
             before = residual
 
     def _correct(self, grid: CoarseGrid, image: Array) -> tuple[Array, float, bool]:
         """Return g after a two-grid cycle, the coarse residual, and if the edge has ended it."""
-        epsilon, coarse = self._blur**2, grid.problem
+        epsilon, own_tol, coarse = self.goal.epsilon, self.goal.tol, grid.problem
         f, g, t_rows, t_columns, residual = self.state
         own_f = grid.source.restrict(f, self.problem.a)
         own_g = grid.target.restrict(g, self.problem.b)
@@ -312,11 +298,11 @@ class Multiscale(Outcome):
             epsilon,
         )
         if isinstance(coarse, StoredProblem):
-            coarse.center, floor = own_f, CYCLE_FLOOR * self.tol
+            coarse.center, floor = own_f, CYCLE_FLOOR * own_tol
             tol = max(CYCLE_SHARE * residual, floor)
-            tol = floor if tol <= ALMOST * self.tol else tol
+            tol = floor if tol <= ALMOST * own_tol else tol
         else:
-            tol = max(CYCLE_SHARE * residual, self._floor * self.tol)
+            tol = max(CYCLE_SHARE * residual, self._floor * own_tol)
         solved = self._solve_grid(grid, grid.target.restrict(image, self.problem.b), tol)
         new_f, left = solved.f, False
         if isinstance(coarse, StoredProblem):

@@ -8,16 +8,21 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.records import LastPasses, NearPairs
+from clmorph.errors import InputError
 from clmorph.measures.grid import are_grids
-from clmorph.measures.points import AnyMeasure, corners_of
+from clmorph.measures.points import Pair, corners_of
 from clmorph.transport._solver.grid_softmin import GridSoftmin
 from clmorph.transport._solver.problem import largest_cost, upload_both
 from clmorph.transport._solver.softmin import Softmin, check_finite
-from clmorph.transport.potentials import Potentials, check_origin, check_potentials
+from clmorph.transport.potentials import Potentials, check_potentials
 
 #: Near pairs are chosen before a single pass if the solver visited at most this share of all pairs:
 #: to choose them costs a pass over them.
 FEW_NEAR = 0.3
+#: Share by which the marginal of a plan may differ from the marginal in its potentials, beside
+#: rounding and truncation. It is far more than these cause, and far less than the difference that
+#: other measures cause.
+FOREIGN = 0.01
 
 
 class Sent(NamedTuple):
@@ -35,7 +40,7 @@ class RowsOfPlan:
     """
 
     def __init__(
-        self, operations: Operations, pair: tuple[AnyMeasure, AnyMeasure], potentials: Potentials,
+        self, operations: Operations, pair: Pair, potentials: Potentials,
         clouds: tuple[Any, Any] | None = None,
     ) -> None:  # fmt: skip
         check_potentials("potentials", potentials, (len(pair[0]), len(pair[1])))
@@ -81,7 +86,16 @@ class RowsOfPlan:
 
     def checked(self) -> "RowsOfPlan":
         """Raise an `InputError` if potentials are those of other measures."""
-        check_origin(self.potentials, self.mass, self.rounding)
+        own, mass, truncation = self.potentials, self.mass, self.potentials.truncation or 0.0
+        nats = 4.0 * self.rounding + 2.0 * own.truncation_error + truncation
+        most = FOREIGN + np.expm1(min(nats, 100.0))
+        most *= max(float(own.row_mass.sum()), float(mass.sum()))
+        if not float(np.abs(mass - own.row_mass).sum()) <= most:
+            raise InputError(
+                "potentials are of other measures: the plan of these has other marginals than "
+                "potentials.row_mass; expected the measures that they were computed for, in the "
+                "same order"
+            )
         return self
 
     def swapped(self) -> "RowsOfPlan":
@@ -112,9 +126,7 @@ class RowsOfPlan:
         return Sent(potential, np.exp(np.minimum(-potential * inverse, MAX_EXPONENT)), mean)
 
 
-def _passes(
-    operations: Operations, pair: tuple[AnyMeasure, AnyMeasure], potentials: Potentials
-) -> LastPasses | None:
+def _passes(operations: Operations, pair: Pair, potentials: Potentials) -> LastPasses | None:
     """Return what the solve of these measures has left on this backend, if anything."""
     passes, own = potentials.passes, potentials.measures
     if passes is None or own is None or passes.operations is not operations:
@@ -130,16 +142,8 @@ def _passes(
     return passes if same else None
 
 
-def clouds_of(
-    operations: Operations, pair: tuple[AnyMeasure, AnyMeasure], potentials: Potentials
-) -> tuple[Any, Any]:
-    """Return both measures in the backend's memory, where a large solve may have left them."""
-    passes = _passes(operations, pair, potentials)
-    return passes.clouds if passes else upload_both(operations, *pair)
-
-
-def uploaded_pair(operations: Operations, pair: tuple[AnyMeasure, AnyMeasure]) -> tuple[Any, Any]:
-    """Return both measures as clouds, for `row_projection`, which needs none of grids."""
+def uploaded_pair(operations: Operations, pair: Pair) -> tuple[Any, Any]:
+    """Return both measures as clouds, for `RowsOfPlan.projection`, which needs none of grids."""
     if are_grids(*pair):
         return None, None
     return upload_both(operations, *pair)

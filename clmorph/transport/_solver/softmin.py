@@ -160,8 +160,12 @@ class Softmin:
             softmin, self.roundoff = self.operations.bounded_softmin(*arguments, near, enough)
         else:
             softmin = self.operations.softmin(*arguments, precise, near)
-        self.near, self.guess, self.left_out = near, check_finite(softmin), 0.0
+        self.near, self.guess, self.left_out = near, self.checked(softmin), 0.0
         return softmin
+
+    def checked(self, softmin: Array) -> Array:
+        """Return a softmin if it is finite."""
+        return check_finite(softmin)
 
     @property
     def visited(self) -> float:

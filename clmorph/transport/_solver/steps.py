@@ -19,8 +19,9 @@ from clmorph.backends.records import (
     next_source,
 )
 from clmorph.transport._solver.anderson import GROWTH, Anderson, Ring
-from clmorph.transport._solver.batch import not_finite, some
+from clmorph.transport._solver.batch import NotFiniteError, some
 from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import overflow
 
 
 class Steps(Protocol):
@@ -161,7 +162,10 @@ class DeviceSteps:
         control = control_of(self._source, begun, place, count)
         self._numbers = self._iteration.iterate(control, radius)
         if of.any(of.without(of.filled(True), self._numbers.finite)):
-            raise not_finite(self._problem, int(np.argmin(self._numbers.finite)))
+            if not of.shape:
+                raise overflow("points")
+            numbers = self._problem.to_rows.numbers
+            raise NotFiniteError(int(numbers[np.argmin(self._numbers.finite)]))
         return self._numbers.mass, self._numbers.row_dual
 
     def take_back(self, which: Any = np.True_) -> None:

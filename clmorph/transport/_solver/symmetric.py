@@ -10,14 +10,15 @@ import numpy as np
 
 from clmorph._shared.typing import Array, IntArray, Progress
 from clmorph.measures.grid import Grid
-from clmorph.measures.points import AnyMeasure
+from clmorph.measures.points import AnyMeasure, Pair
 from clmorph.transport._solver.batch import some
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.steps import Steps
+from clmorph.transport.regularization import Goal
 
 
-def is_symmetric(pair: tuple[AnyMeasure, AnyMeasure], rho: tuple[float, float]) -> bool:
+def is_symmetric(pair: Pair, rho: tuple[float, float]) -> bool:
     """Return whether a problem is that of a measure with itself, with one reach for both sides."""
     source, target = pair
     return (
@@ -71,15 +72,9 @@ class SymmetricSteps(Steps):
         return self._problem
 
 
-def solve_symmetric(
-    problem: Problem, blur: float, tol: float, max_iter: int, precision: str, report: Progress
-) -> Iteration:
+def solve_symmetric(problem: Problem, goal: Goal, report: Progress) -> Iteration:
     """Return the solves of one or many measures with themselves."""
     problem.to_columns = problem.to_rows
     # Each iteration halves the residual unless it consists of rounding.
-    iteration = Iteration(
-        problem, blur, tol, max_iter, precision, report,
-        patience=1, steps=SymmetricSteps, softmins=1,
-    )  # fmt: skip
-    iteration.run(np.zeros(len(problem.a)))
-    return iteration
+    iteration = Iteration(problem, goal, report, patience=1, steps=SymmetricSteps, softmins=1)
+    return iteration.run(np.zeros(len(problem.a)))

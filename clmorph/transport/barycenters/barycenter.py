@@ -12,7 +12,6 @@ from clmorph.backends.arrays import as_floats
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.grid import Grid, are_grids
-from clmorph.measures.measure import Measure
 from clmorph.measures.points import (
     AnyMeasure,
     MeasureLike,
@@ -22,7 +21,7 @@ from clmorph.measures.points import (
     as_measures,
     dimension_of,
 )
-from clmorph.transport._solver.checks import check_problem, check_solver_options
+from clmorph.transport._solver.problem import check_problem
 from clmorph.transport.barycenters.fixed_support import fixed_support
 from clmorph.transport.barycenters.free_support import free_support
 from clmorph.transport.barycenters.result import Barycenter, BarycenterProblem, Call
@@ -139,12 +138,12 @@ def barycenter(
     operations = get_backend(backend)
     for first in (problem.measures[0], problem.start):
         for each in problem.measures:
-            check_problem(first, each, call.given, operations, "auto")
+            check_problem((first, each), call.goal._replace(tol=np.inf), operations)
     found = (fixed_support if fixed else free_support)(problem, call, operations, report)
     warn_unless_converged(
         found.status,
         f"barycenter: residual {found.residual:.1e} after {found.n_iter} iterations, above the "
-        f"tolerance {call.tol:g}; raise max_iter, tol or blur",
+        f"tolerance {call.goal.tol:g}; raise max_iter, tol or blur",
     )
     return found
 
@@ -154,11 +153,10 @@ def checked_call(
     debias: Any, seed: Any,
 ) -> Call:  # fmt: skip
     """Return the checked options of `barycenter`, which are its parameters."""
-    given = one_regularization(blur, reach, epsilon, rho)
     fixed, debias = check_flag("fixed", fixed), check_flag("debias", debias)
     most = (FIXED_ITERATIONS if fixed else FREE_ITERATIONS) if max_iter is None else max_iter
-    tol, most, _ = check_solver_options(tol, most)
-    return Call(given, tol, most, fixed, debias, check_integer("seed", seed, 0, 2**63))
+    goal = one_regularization(blur, reach, epsilon, rho, tol, most)
+    return Call(goal, fixed, debias, check_integer("seed", seed, 0, 2**63))
 
 
 def prepared(measures: Any, weights: Any, support: Any, call: Call) -> BarycenterProblem:
@@ -211,12 +209,10 @@ def _free_start(
         count = max(map(len, measures))
         if support is not None:
             count = check_integer("support", support, 1, 1 << 24)
-        chosen = _means if np.isinf(call.given.rho[0]) else _drawn
+        chosen = _means if np.isinf(call.goal.rho[0]) else _drawn
         points = chosen(measures, shares, count, call.seed)
         return WeightedPoints(points, np.full(count, mass / count))
-    found = _as_points(support, mass)
-    _check_dimension(found, measures[0])
-    return found
+    return _as_points(support, mass, measures[0])
 
 
 def _means(measures: list[AnyMeasure], shares: list[float], count: int, seed: int) -> Array:
@@ -255,18 +251,18 @@ def _fixed_start(support: Any, measures: list[AnyMeasure], mass: float) -> Weigh
         raise InputError(
             f"support={shown(support)}: a fixed support needs its points, such as those of a grid"
         )
-    found = _as_points(support, 1.0)
-    _check_dimension(found, measures[0])
+    found = _as_points(support, 1.0, measures[0])
     return WeightedPoints(found.points, np.full(len(found), mass / len(found)))
 
 
-def _as_points(support: Any, mass: float) -> WeightedPoints:
+def _as_points(support: Any, mass: float, like: AnyMeasure) -> WeightedPoints:
     """Return points, or a measure, as weighted points; points alone have equal masses."""
-    if not isinstance(support, WeightedPoints | Measure | Grid | tuple):
+    if not isinstance(support, AnyMeasure | tuple):
         points = as_floats("support", support, "points (N, D)")
         count = max(1, len(points) if points.ndim else 1)
         support = (np.full(count, mass / count), points)
     found = as_measure("support", support)
+    _check_dimension(found, like)
     return WeightedPoints(found.points, found.weights)
 
 

@@ -44,9 +44,7 @@ reach, one c_k does not fit all places: as long as these shifts grow, less of th
 All sums over points are soft minima of a backend, so no matrix is stored.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -54,8 +52,8 @@ import numpy as np
 from clmorph._shared.typing import Array, Progress
 from clmorph.backends.interface import Operations
 from clmorph.measures.grid import Grid, are_grids
-from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.grid_softmin import GridSoftmin
+from clmorph.transport._solver.problem import uploaded
 from clmorph.transport.barycenters.result import Barycenter, BarycenterProblem, Call, check_mass
 
 #: The smallest logarithm of a mass, in nats below the mean: the square root of float64's range.
@@ -69,25 +67,19 @@ def fixed_support(
 ) -> Barycenter:
     """Return the barycenter's weights on given points, or on a grid whose mask counts."""
     measures, shares, support = problem
-    given, tol, max_iter, debias = call.given, call.tol, call.max_iter, call.debias
-    epsilon, rho = given.epsilon, given.rho[0]
+    tol, max_iter, debias = call.goal.tol, call.goal.max_iter, call.debias
+    epsilon, rho = call.goal.epsilon, call.goal.rho[0]
     q = 1.0 / (1.0 + epsilon / rho)
     even = support.weights
-    places: Any
-    clouds: list[Any]
-    softmin: Callable[[Any, Any, Array], Array]
-    if isinstance(support, Grid) and are_grids(*measures):
-        places, clouds = support, list(measures)
+    grids = are_grids(support, *measures)
+    places, *clouds = (
+        each if grids else uploaded(operations, each) for each in (support, *measures)
+    )
 
-        def softmin(rows: Any, columns: Any, potential: Array) -> Array:
+    def softmin(rows: Any, columns: Any, potential: Array) -> Array:
+        if grids:
             return GridSoftmin(operations, rows, columns)(potential, epsilon, precise=True)
-
-    else:
-        places = operations.upload(support.points, even)
-        clouds = [operations.upload(each.points, each.weights) for each in measures]
-
-        def softmin(rows: Any, columns: Any, potential: Array) -> Array:
-            return operations.softmin(rows, columns, potential, epsilon, precise=True)
+        return operations.softmin(rows, columns, potential, epsilon, precise=True)
 
     f = [np.zeros(len(even)) for _ in measures]
     g: list[Array] = [np.zeros(0)] * len(measures)
@@ -106,7 +98,13 @@ def fixed_support(
             sums.append(softmin(places, cloud, arriving))
         if q < 1:
             own = [each - epsilon * alpha if debias else each for each in f]
-            shifts = _shifts(weights, own, measures, g, shares, rho)
+            leaving = np.array([_log_mass(weights, each, rho) for each in own])
+            arrived = [_log_mass(each.weights, g[k], rho) for k, each in enumerate(measures)]
+            halves = (leaving - np.array(arrived)) / 2
+            both = np.array([leaving, leaving - halves])
+            both = np.logaddexp.reduce(np.log(shares) + both, axis=1)
+            # What is added to f_k, and taken from g_k, in cost units.
+            shifts = rho * (halves - both[0] + both[1])
             size, last = float(np.abs(shifts).max()), size
             damping = min(1.0, RECOVERY * damping) if size <= last else damping / 2
             for k, shift in enumerate(damping * shifts):
@@ -146,23 +144,6 @@ def _mean(sums: Sequence[Array], shares: Sequence[float], power: float) -> Array
         share * np.expm1(power * (least - each)) for share, each in zip(shares, sums, strict=True)
     )
     return least - np.log1p(sum(terms)) / power
-
-
-def _shifts(
-    weights: Array,
-    f: Sequence[Array],
-    measures: Sequence[AnyMeasure],
-    g: Sequence[Array],
-    shares: Sequence[float],
-    rho: float,
-) -> Array:
-    """Return what to add to f_k, and to take from g_k, in cost units."""
-    leaving = np.array([_log_mass(weights, each, rho) for each in f])
-    pairs = zip(measures, g, strict=True)
-    arriving = np.array([_log_mass(measure.weights, each, rho) for measure, each in pairs])
-    shifts = (leaving - arriving) / 2
-    both = np.logaddexp.reduce(np.log(shares) + np.array([leaving, leaving - shifts]), axis=1)
-    return np.asarray(rho * (shifts - both[0] + both[1]))
 
 
 def _log_mass(weights: Array, potential: Array, rho: float) -> float:

@@ -20,8 +20,6 @@ Feydy, Vialard, Trouvé and Peyré, "Sinkhorn divergences for unbalanced optimal
 Janati, Cuturi and Gramfort, "Debiased Sinkhorn barycenters", ICML 2020, section 3.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from clmorph._shared.typing import Progress
@@ -49,16 +47,16 @@ def free_support(
 ) -> Barycenter:
     """Move points, and change their masses unless transport is balanced, until they rest."""
     measures, shares, start = problem
-    given, tol, max_iter, debias = call.given, call.tol, call.max_iter, call.debias
-    epsilon, rho = given.epsilon, given.rho[0]
+    goal, tol, debias = call.goal, call.goal.tol, call.debias
+    epsilon, rho = goal.epsilon, goal.rho[0]
     balanced = bool(np.isinf(rho))
-    options = given, min(INNER_TOL, INNER_SHARE * tol), INNER_ITERATIONS, "auto", ignore
+    inner = goal._replace(tol=min(INNER_TOL, INNER_SHARE * tol), max_iter=INNER_ITERATIONS)
     points, weights = start.points.copy(), start.weights.copy()
     found: list[Potentials | None] = [None] * len(measures)
     clouds = [uploaded(operations, measure) for measure in measures]
     residuals: list[float] = []
     mass = float(np.dot(shares, [each.mass for each in measures]))
-    for number in range(max_iter):
+    for number in range(goal.max_iter):
         here = WeightedPoints(points, weights)
         cloud = uploaded(operations, here)
         inexact = 0.0
@@ -66,13 +64,13 @@ def free_support(
         for k, (measure, share) in enumerate(zip(measures, shares, strict=True)):
             before, both = found[k], (cloud, clouds[k])
             g = None if before is None else before.g
-            solved = solve(operations, (here, measure), *options, clouds=both, g=g)
+            solved = solve(operations, (here, measure), inner, ignore, clouds=both, g=g)
             found[k], inexact = solved, max(inexact, solved.residual)
             going = RowsOfPlan(operations, (here, measure), solved, both).sent()
             ratio += share * going.ratio
             pull += (share * going.ratio)[:, None] * (going.mean - points)
         if debias:
-            own = solve(operations, (here, here), *options)
+            own = solve(operations, (here, here), inner, ignore)
             inexact = max(inexact, own.residual)
             within = RowsOfPlan(operations, (here, here), own, (cloud, cloud)).sent()
             pull -= within.ratio[:, None] * (within.mean - points)
@@ -88,13 +86,13 @@ def free_support(
         if not balanced:
             changed = weights * np.clip(growth, 1 / MOST_GROWTH, MOST_GROWTH)
             check_mass(changed, mass)
-        moved = float(np.sqrt(weights @ (step**2).sum(axis=1) / weights.sum())) / given.blur
+        moved = float(np.sqrt(weights @ (step**2).sum(axis=1) / weights.sum())) / goal.blur
         change = max(moved, float(np.abs(changed - weights).sum() / weights.sum()))
         residuals.append(max(change, inexact))
         points, weights = points + step, changed
         # Points that rest by inexact solves would rest in the next iteration, too.
         done = change <= tol
-        report(1.0 if done else (number + 1) / max_iter)
+        report(1.0 if done else (number + 1) / goal.max_iter)
         if done:
             break
     status = "converged" if residuals[-1] <= tol else ("precision" if done else "max_iter")

@@ -11,7 +11,7 @@ from clmorph._shared.typing import Array
 from clmorph.errors import InputError
 from clmorph.measures.grid import Grid
 from clmorph.measures.points import AnyMeasure, WeightedPoints
-from clmorph.transport.regularization import Regularization
+from clmorph.transport.regularization import Goal
 
 #: Share of the mean mass of the measures below which the mass of the support is lost.
 LOST = 1e-20
@@ -20,9 +20,7 @@ LOST = 1e-20
 class Call(NamedTuple):
     """The checked options of a call."""
 
-    given: Regularization
-    tol: float
-    max_iter: int
+    goal: Goal
     fixed: bool
     debias: bool
     seed: int
