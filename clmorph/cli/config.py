@@ -117,7 +117,7 @@ def read_settings(
     by_name = {key.replace("-", "_"): value for key, value in found.items()}
     refused = [name for name in recipes.BESIDE[command] if mixes and name in by_name]
     if refused:
-        raise InputError(f"{path}: {refused[0]}: mixes take none; remove them, or use clmorph morph")
+        raise InputError(f"{path}: {refused[0]}: mixes take none; remove them or use morph")
     images = _entries(path, IMAGES, by_name.pop(IMAGES, []))
     beside = {
         name: _entries(path, name, by_name.pop(name), count)

@@ -1,6 +1,7 @@
 """The debiased divergence: a distance-like value with a certain interval."""
 
 import numpy as np
+import plain
 import pytest
 from plain import reference, sinkhorn_divergence
 
