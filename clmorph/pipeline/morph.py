@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.progress import StageProgress
-from clmorph._shared.typing import IntArray, Progress
+from clmorph._shared.typing import AnyArray, IntArray, Progress
 from clmorph._shared.validation import check_progress
 from clmorph.backends.interface import Operations
 from clmorph.backends.multi_device import members_of
@@ -39,7 +39,7 @@ from clmorph.pipeline.presets import PresetName
 from clmorph.pipeline.result import Morph
 from clmorph.transport.barycentric import Barycentric, destination_colors
 from clmorph.transport.divergence import sinkhorn_divergence
-from clmorph.transport.options import PlanOptions, SolverOptions
+from clmorph.transport.options import SolverOptions
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import regularization
@@ -144,12 +144,8 @@ def morph(
     True
     """
     images = as_images((image_a, image_b))
-    shapes = shapes_of(images)
     chosen = as_options(options, preset, given, images, draft=draft)
-    maps = Maps(weights, color_metric, labels, features)
-    maps, _ = labeled(images, maps)
-    guide = guides(images, [(0, 1)], chosen, maps)
-    pair = ImagePair(fitted(images, chosen, maps), guide.of(0), shapes, maps, guide.found)
+    pair = ImagePair.of(images, chosen, Maps(weights, color_metric, labels, features))
     return pair.morph(backend, check_progress(progress))
 
 
@@ -165,6 +161,14 @@ class ImagePair:
     maps: Maps = NO_MAPS
     #: What landmarks were found, in a line (`clmorph.pipeline.guides`).
     found: str = ""
+
+    @classmethod
+    def of(cls, images: Sequence[AnyArray], options: MorphOptions, maps: Maps) -> ImagePair:
+        """Find what is wanted in two images, labels and landmarks, and fit these to their size."""
+        maps, _ = labeled(images, maps)
+        guide = guides(images, [(0, 1)], options, maps)
+        shown = fitted(images, options, maps)
+        return cls(shown, guide.of(0), shapes_of(images), maps, guide.found)
 
     @property
     def given_shapes(self) -> Sequence[tuple[int, int]]:
@@ -238,19 +242,13 @@ class ImagePair:
         blocks = self.blocks(source, target)
         parts = self.parts(blocks)
         operations = get_backend(backend)
-        check_ways(
-            *blocks, operations, sample=options.sample, barycentric=options.barycentric,
-            max_memory=options.max_memory, log_threshold=options.log_threshold,
-        )  # fmt: skip
+        check_ways(*blocks, operations, options)
         report("transport", 0.0)
         solved, potentials = self.solve(
             parts, (source.mass, target.mass), operations, lambda share: report("transport", share)
         )
         report("plan", 0.0)
-        plan = make_plan(
-            parts, solved, operations, max_particles=options.max_particles,
-            max_memory=options.max_memory, **options.of(PlanOptions),
-        )  # fmt: skip
+        plan = make_plan(parts, solved, operations, options)
         report("plan", 1.0)
         # Large pictures are held for as long as the film is.
         shown = [image.astype(np.float32) for image in self.images] if small else []
