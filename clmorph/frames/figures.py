@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clmorph._shared.typing import Array, BoolArray
 from clmorph.frames.ends import End
 from clmorph.frames.resampling import Float32
+from clmorph.images.color import to_space
 from clmorph.images.flat_colors import LEVEL, foreground, shares_in_mixtures
 from clmorph.measures.measure import Measure
 
@@ -153,6 +154,18 @@ def _covered(colors: Array, figure: Array, ground: Array) -> Array:
     share = (own * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), LEVEL**2)
     lies_between = np.abs(own - share[:, None] * way).max(axis=1) <= LEVEL
     return np.where(lies_between, share, 0.0)
+
+
+def mixed_ground(
+    shares: Sequence[float], grounds: Sequence[tuple[Array, float]], space: str
+) -> tuple[Array, float]:
+    """Return color, in a space, and opacity of the mean of grounds, sRGB and opacity, by shares."""
+    colors, alphas = zip(*grounds, strict=True)
+    parts = np.array(shares) * alphas
+    alpha = float(parts.sum())
+    if alpha == 0:
+        return np.zeros(3), 0.0
+    return parts @ to_space(np.array(colors), space) / alpha, alpha
 
 
 def beyond(image: NDArray[_Real], pure: BoolArray) -> NDArray[_Real]:

@@ -23,7 +23,7 @@ from clmorph.backends.records import LayerView
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
 from clmorph.frames.fields import CELLS, POINTS, Layer, affine, blurred, led_to
-from clmorph.frames.figures import Figure, beyond
+from clmorph.frames.figures import Figure, beyond, mixed_ground
 from clmorph.frames.outline import FAR, around, bounded, outline_of, thinness
 from clmorph.frames.resampling import Enlarged, Float32, reduced
 from clmorph.images.color import PART, from_space, to_space
@@ -88,9 +88,9 @@ class Channels:
         wide = small if self._edge is None else _with_margin(small)
         margin = (wide.shape[0] - small.shape[0]) // 2
         spline = np.zeros((*wide.shape, 4), np.float32)
-        channels = (image[..., c : c + 1] for image in images for c in range(image.shape[2]))
+        channels = (image[..., c] for image in images for c in range(image.shape[2]))
         for number, channel in enumerate(channels):
-            plane = reduced(channel, small.shape)[..., 0]
+            plane = reduced(channel, small.shape)
             if number == 3 and self._edge is not None:
                 far = FAR * max(small.shape) / max(*small.scale, 1e-9)
                 wider = bounded(_continued(plane, small), self._edge, far)
@@ -117,7 +117,7 @@ def _continued(distance: Float32, canvas: Canvas) -> Float32:
     few, wide = canvas.reduced(MARGIN_PIXELS), _with_margin(canvas)
     margin = (wide.shape[0] - canvas.shape[0]) // 2
     if few.shape != canvas.shape:
-        coarse = _continued(reduced(distance[..., None], few.shape)[..., 0], few)
+        coarse = _continued(reduced(distance, few.shape), few)
         wider = Enlarged(coarse, affine(wide, _with_margin(few)), wide.shape).rows()
         wider[margin:-margin, margin:-margin] = distance
         return wider
@@ -230,8 +230,7 @@ class Pictures:
         if self.figures is None:
             return None
         return [
-            reduced(figure.distance[..., None], shape)[..., 0].astype(float)
-            / max(*canvas.scale, 1e-9)
+            reduced(figure.distance, shape).astype(float) / max(*canvas.scale, 1e-9)
             for figure, canvas, shape in zip(self.figures, self.canvases, shapes, strict=True)
         ]
 
@@ -300,7 +299,9 @@ class Pictures:
         there = [share * around(seen > 0.0) for share in even]
         translucent = "alpha" in self._channels
         on_canvas = Enlarged(seen.astype(np.float32), affine(canvas, self.stage), canvas.shape)
-        lies_inside, ground = outline.on(canvas), self._ground(shares)
+        lies_inside = outline.on(canvas)
+        grounds = [(each.ground, each.ground_alpha) for each in self.figures]
+        ground = mixed_ground(shares, grounds, self._space)
         frame = np.empty((*canvas.shape, 4 if self.clear else 3), np.float32)
         for rows in _bands(canvas):
             figure = self._drawn(led, ways, "figure", within, none, canvas, rows=rows)
@@ -413,16 +414,6 @@ class Pictures:
             for first in range(0, len(views), 2)
         )
         return reduce(np.add, drawn)
-
-    def _ground(self, shares: Sequence[float]) -> tuple[Array, float]:
-        """Return color, in the space of the path, and opacity of the ground of a frame."""
-        assert self.figures is not None
-        parts = np.array(shares) * [figure.ground_alpha for figure in self.figures]
-        alpha = float(parts.sum())
-        if alpha == 0:
-            return np.zeros(3), 0.0
-        colors = to_space(np.array([figure.ground for figure in self.figures]), self._space)
-        return parts @ colors / alpha, alpha
 
 
 def _in_space(colors: NDArray[np.floating], space: str) -> Float32:

@@ -1,12 +1,13 @@
 """The frames of a morph and its transport, as files, pages and measures of quality use them."""
 
 from abc import abstractmethod
-from collections.abc import Generator, Mapping, Sequence
-from typing import Any, ClassVar, overload
+from collections.abc import Generator, Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.items import Items
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_integer, shown
 from clmorph.errors import InputError
@@ -22,7 +23,7 @@ from clmorph.transport.potentials import Potentials
 Frame = NDArray[np.float32]
 
 
-class FrameSequence(Sequence[Frame]):
+class FrameSequence(Items[Frame]):
     """Frames at given times, with the transport that they come from.
 
     The object is a sequence: ``len(frames)``, ``frames[i]``, ``frames[i:j]`` and iteration refer to
@@ -93,14 +94,7 @@ class FrameSequence(Sequence[Frame]):
     def __len__(self) -> int:
         return len(self.times)
 
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | list[Frame]:
-        """Return the frame at ``times[index]``, or a list of frames for a slice."""
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def _item(self, index: int) -> Frame:
         return self.frame(float(self.times[index]))
 
     def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:

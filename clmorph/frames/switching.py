@@ -66,7 +66,7 @@ def switching_times(
     fine = np.concatenate(list(halves), axis=2)
     guide = reduced(fine, cells.shape).astype(np.float32)
     found = reduced(order[..., None], cells.shape)
-    known = reduced(shared[..., None], cells.shape)[..., 0].astype(np.float32)
+    known = reduced(shared, cells.shape).astype(np.float32)
     for _ in range(ROUNDS):
         found = operations.edge_preserving_mean(
             found.astype(np.float32), known, guide, guide, SIGMA, BOTH * LIKE_CELLS

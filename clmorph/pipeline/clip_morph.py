@@ -208,18 +208,15 @@ class Frames:
                 yield found
             return
         with Clip(self.path, self._max_pixels) as clip, closing(clip.frames()) as frames:  # type: ignore[type-var]
-            last, start, count, end = None, Fraction(0), 0, Fraction(0)
-            for frame in frames:
-                if last is None:
-                    start = frame.time
+            start, count = None, 0
+            for frame, after in itertools.pairwise(itertools.chain(frames, [None])):
+                assert frame is not None
+                start = frame.time if start is None else start
+                end = frame.time + 1 / clip.rate if after is None else after.time
                 # The frame that is shown in the middle of the time of each frame of the film.
-                while last is not None and (count + Fraction(1, 2)) / rate < frame.time - start:
-                    yield last
+                while (count + Fraction(1, 2)) / rate < end - start:
+                    yield frame.pixels
                     count += 1
-                last, end = frame.pixels, frame.time - start + 1 / clip.rate
-            while last is not None and (count + Fraction(1, 2)) / rate < end:
-                yield last
-                count += 1
 
     def shown(self, pixels: AnyArray, size: Size) -> NDArray[np.float64]:
         """Return a frame as sRGB (H, W, 3) of a size: scaled to fit into it, with black bars."""

@@ -3,7 +3,7 @@
 from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Any, overload
+from typing import Any
 from warnings import warn
 
 import numpy as np
@@ -153,16 +153,8 @@ class Morph(Film):
         """The recipe of this morph in the form of files, which `json.dumps` accepts."""
         return recipe(self.options, device=self.operations.description, arrays=self.arrays)
 
-    @overload
-    def __getitem__(self, index: int) -> NDArray[np.float32]: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[NDArray[np.float32]]: ...
-    def __getitem__(self, index: int | slice) -> NDArray[np.float32] | list[NDArray[np.float32]]:
-        """Return the frame at ``times[index]``, or a list of frames for a slice.
-
-        Frames are rendered unless `frames` has cached them.
-        """
-        return self._kept[index] if self._kept else super().__getitem__(index)
+    def _item(self, index: int) -> NDArray[np.float32]:
+        return self._kept[index] if self._kept else super()._item(index)
 
     def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:
         """Render the frames one by one, without keeping them.
