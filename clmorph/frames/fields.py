@@ -80,16 +80,14 @@ def affine(here: Canvas, there: Canvas) -> Affine:
     return Affine((origin[1], origin[0]), (step[1], step[0]))
 
 
-class _Cells(NamedTuple):
-    """Means over the cells of one picture: displacement, change of color, share with a partner."""
+def _cells(
+    particles: Particles, end: int, sizes: tuple[int, int], grid: Canvas
+) -> tuple[Array, Array, Array]:
+    """Add up the particles that start (end 0) or end (end 1) at a picture's pixels.
 
-    values: Array  # (h, w, 5)
-    matched: Array  # (h, w)
-    mass: Array  # (h, w)
-
-
-def _cells(particles: Particles, end: int, sizes: tuple[int, int], grid: Canvas) -> _Cells:
-    """Add up the particles that start (end 0) or end (end 1) at a picture's pixels."""
+    The result is, over the cells of the picture, the mean displacement and change of color,
+    (h, w, 5), the mass with a partner, and all mass, (h, w) each.
+    """
     n, _ = sizes
     known = len(particles.table) - particles.n_grown
     links = particles.links.astype(np.int64)
@@ -119,7 +117,7 @@ def _cells(particles: Particles, end: int, sizes: tuple[int, int], grid: Canvas)
         [total(partners * (column[other] - column[own])) for column in columns], axis=-1
     )
     tiny = np.finfo(np.float64).tiny
-    return _Cells(sums / np.maximum(matched, tiny)[..., None], matched, total(mass))
+    return sums / np.maximum(matched, tiny)[..., None], matched, total(mass)
 
 
 def field_of(
@@ -142,14 +140,13 @@ def field_of(
     picture, other = (np.asarray(colors[each], np.float32) for each in (end, 1 - end))
     canvas = canvases[end]
     grid, points = canvas.reduced(CELLS), canvas.reduced(POINTS)
-    cells = _cells(particles, end, sizes, grid)
+    values, matched, mass = _cells(particles, end, sizes, grid)
     tiny = np.finfo(np.float64).tiny
-    share = cells.matched / np.maximum(cells.mass, tiny)
+    share = matched / np.maximum(mass, tiny)
     small = reduced(picture, points.shape)
     guide, fine = reduced(small, grid.shape).astype(float), small.astype(float)
-    values = cells.values
     if figure:
-        weights = cells.matched / max(float(cells.matched.max()), tiny)
+        weights = matched / max(float(matched.max()), tiny)
     else:
         there = canvases[1 - end].reduced(CELLS)
         others = sampled(reduced(other, there.shape), there.places(grid.positions()))

@@ -21,8 +21,6 @@ from clmorph.frames.pictures import Pictures
 from clmorph.frames.switching import turns
 from clmorph.measures.measure import Measure
 
-Array = NDArray[np.float64]
-
 
 def mixed_canvas(pictures: Sequence[End], weights: Sequence[float]) -> Canvas:
     """Return the canvas of a mixture, whose sides are the weighted means of those of the images."""

@@ -110,7 +110,7 @@ def render(
     density = denominator / kernel_sum(sigma)
     sums = np.dstack((colors, density)) * (1.0 - filling.wanted)[..., None]
     own, width = np.dstack((colors, density)), sigma
-    while sigma > 0 and width < max(canvas.shape) and filling.missing > UNSEEN:
+    while sigma > 0 and width < max(canvas.shape) and filling.left.max() > UNSEEN:
         width *= WIDENING
         wider_numerator, wider = operations.splat(splats, canvas.shape, width, CUT * width)
         share = wider / uniform_density(mass, canvas, width)
@@ -205,11 +205,6 @@ class Filling:
     def left(self) -> Array:
         """Share of each pixel that is still to be filled: (H, W) array."""
         return self.wanted - self.given
-
-    @property
-    def missing(self) -> float:
-        """The largest share that is still to be filled."""
-        return float(self.left.max())
 
     def _openness(self, own: Array, around: Array) -> Array:
         """Return the degree to which pixels are holes: 0 at the threshold, 1 at `OPEN` times it."""

@@ -315,7 +315,14 @@ def optimal_curve(
     """
     widths = []
     for number, t in enumerate(KNOTS):
-        widths.append(_least(_objective(morph, float(t))))
+        objective = _objective(morph, float(t))
+        tried = [(objective(width), float(width)) for width in WIDTHS]
+        step = float(np.sqrt(WIDTHS[1] / WIDTHS[0]))
+        for _ in range(REFINEMENTS):
+            best = min(tried)[1]
+            tried += [(objective(width), width) for width in (best / step, best * step)]
+            step = float(np.sqrt(step))
+        widths.append(min(tried)[1])
         report((number + 1) / len(KNOTS))
     return KNOTS, np.array(widths)
 
@@ -333,14 +340,3 @@ def _objective(morph: Morph, t: float) -> Callable[[float], float]:
         return float(sinkhorn_divergence(frame, particles, blur, reach, backend=device))
 
     return divergence
-
-
-def _least(objective: Callable[[float], float]) -> float:
-    """Return the width with the least objective."""
-    tried = [(objective(width), float(width)) for width in WIDTHS]
-    step = float(np.sqrt(WIDTHS[1] / WIDTHS[0]))
-    for _ in range(REFINEMENTS):
-        best = min(tried)[1]
-        tried += [(objective(width), width) for width in (best / step, best * step)]
-        step = float(np.sqrt(step))
-    return min(tried)[1]

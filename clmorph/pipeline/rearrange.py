@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.progress import StageProgress
+from clmorph._shared.progress import Report, StageProgress
 from clmorph._shared.typing import AnyArray, Array, ArrayLike
 from clmorph._shared.validation import check_number, check_progress
 from clmorph.backends.interface import Operations
@@ -24,7 +24,7 @@ from clmorph.images.pixels import fit, split_alpha
 from clmorph.images.resizing import as_unit, resized
 from clmorph.measures.lift import lift
 from clmorph.measures.measure import Measure
-from clmorph.measures.pixel_blocks import group_pixels
+from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.output.playback import eased
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.film import Film, picture_of
@@ -32,12 +32,15 @@ from clmorph.pipeline.keywords import RearrangeKeywords
 from clmorph.pipeline.prepare import as_images
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recipe import recipe
+from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.assignment_search import plan_search, solved
-from clmorph.transport.block_potentials import transport_pixels
 from clmorph.transport.matching import warn_unless_reached
+from clmorph.transport.options import SolverOptions
 from clmorph.transport.pair_costs import Costs, Indices
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
+from clmorph.transport.regularization import regularization
+from clmorph.transport.sinkhorn import solve
 
 #: Length scale of the entropic plan from which the search begins, and its tolerance.
 BLUR, TOLERANCE = 0.025, 0.5
@@ -244,10 +247,7 @@ def arranged(
     report("transport", 0.0)
     blocks = group_pixels(source, SOLVE_SIZE), group_pixels(target, SOLVE_SIZE)
     blur = BLUR * max(1.0, options.color_weight / LARGE_WEIGHT)
-    found = transport_pixels(
-        *blocks, blur, TOLERANCE, operations, lambda share: report("transport", share)
-    )
-    potentials = found.potentials
+    potentials = _transported(*blocks, blur, operations, lambda share: report("transport", share))
     costs, epsilon = Costs(source.points, target.points), potentials.epsilon
     solution = solved(
         costs, potentials.g, epsilon, options.gap, options.seed,
@@ -267,6 +267,24 @@ def arranged(
         eased(np.linspace(0.0, 1.0, options.n_frames), options.ease),
         KernelWidth(SIGMA, SIGMA, 0.0, n, n, "fixed"), operations, options,
     )  # fmt: skip
+
+
+def _transported(
+    source: PixelBlocks, target: PixelBlocks, blur: float, operations: Operations, report: Report
+) -> Potentials:
+    """Solve between blocks, and extend the potentials to the pixels by one softmin each."""
+    pair, given = (source.coarse, target.coarse), regularization(blur, None, None, None)
+    found = solve(operations, pair, given, TOLERANCE, SolverOptions.max_iter, "auto", report)
+
+    def extended(own: PixelBlocks, other: PixelBlocks, f: Array, g: Array) -> Array:
+        rows, columns = (operations.upload(m.points, m.weights) for m in (own.fine, other.coarse))
+        weights = own.fine.weights, other.coarse.weights
+        softmin = Softmin(operations, rows, columns, weights, found.truncation)
+        softmin.guess = f[own.owners]
+        return softmin(g, given.epsilon)
+
+    f = extended(source, target, found.f, found.g)
+    return replace(found, f=f, g=extended(target, source, found.g, found.f))
 
 
 def _compared(images: tuple[Array, Array], options: RearrangeOptions) -> tuple[Measure, Measure]:
