@@ -101,12 +101,9 @@ class FrameRenderer:
             self._correction.correct(picture, t)
         return picture
 
-    def sums(self, t: float, widths: Widths | None = None, canvas: Canvas | None = None) -> Sums:
-        """Render colors, coverage and density without the correction of the ends.
-
-        `widths` and `canvas` replace those of the morph at time t.
-        """
-        canvas = canvas or self.canvas(t)
+    def sums(self, t: float, widths: Widths | None = None) -> Sums:
+        """Render colors, coverage and density without the correction of the ends."""
+        canvas = self.canvas(t)
         widths = widths or self._kernel_width.widths(t, canvas)
         # Holes are not filled where the frame is invisible.
         fill = True if self._alpha_particles is None else self._opacity(t) > UNSEEN

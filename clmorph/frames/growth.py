@@ -20,10 +20,7 @@ TRAVELS = 0.5
 def mean_destinations(
     source: Measure, target: Measure, plan: Plan | Barycentric
 ) -> tuple[Array, Array]:
-    """Return mean destinations of source pixels, (N, 2), and mean origins of target pixels, (M, 2).
-
-    They are positions in the common frame.
-    """
+    """Return mean destinations of source pixels, (N, 2), and origins of target pixels, (M, 2)."""
     if isinstance(plan, Plan):
         return plan.mean_destinations(source.positions, target.positions)
     # The mean origin of a target pixel is not known, so what is born there rests.

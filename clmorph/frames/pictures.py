@@ -146,11 +146,6 @@ def stage_of(canvases: Sequence[Canvas]) -> Canvas:
     return Canvas((height, width), (per_unit, per_unit))
 
 
-def lightness_of(space: str) -> Array:
-    """Return the weights of a color's coordinates in its lightness."""
-    return np.array([0.3, 0.59, 0.11] if space in ("srgb", "linear") else [1.0, 0.0, 0.0])
-
-
 class Pictures:
     """The pictures of a film or of mixes: what layers sample, and how a frame is put together.
 
@@ -171,6 +166,10 @@ class Pictures:
         self._areas = [figure.area for figure in figures or ()]
         #: How far outlines on the way are smoothed, from 0 to 1: not at all where they coincide.
         self.smoothing = 1.0
+        #: Weights of a color's coordinates in its lightness.
+        self.lightness = np.array(
+            [0.3, 0.59, 0.11] if space in ("srgb", "linear") else [1.0, 0.0, 0.0]
+        )
         #: Whether frames have opacity.
         self.clear = any(end.alpha is not None for end in ends)
         self.stage = stage_of(canvases)
@@ -224,15 +223,6 @@ class Pictures:
         other._operations = operations
         other._upload()
         return other
-
-    def outlines(self, shapes: Sequence[tuple[int, int]]) -> list[Array] | None:
-        """Return the signed distances from the figures' outlines, in the common frame."""
-        if self.figures is None:
-            return None
-        return [
-            reduced(figure.distance, shape).astype(float) / max(*canvas.scale, 1e-9)
-            for figure, canvas, shape in zip(self.figures, self.canvases, shapes, strict=True)
-        ]
 
     def frame(
         self,

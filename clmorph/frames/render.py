@@ -91,8 +91,7 @@ def render(
     A pixel whose coverage is at least `HOLE_COVERAGE` has the kernel's mean as its color.
     If torn pixels are closed, its coverage must also be at least `CLOSED_SHARE` of the coverage
     around it. Below half of these thresholds wider kernels determine its color, and in between the
-    color is a mixture of both. So neither rounding nor pairs that a plan has dropped can switch a
-    pixel from one color to another.
+    color is a mixture of both.
 
     `mass` is the particles' total at time t. Without a kernel, pixels without a particle are 0;
     with a kernel, holes are filled by wider kernels, everywhere or where `fill` is true.
@@ -244,10 +243,7 @@ class Filling:
 
 
 def is_torn(coverage: Array) -> BoolArray:
-    """Return which pixels are holes: far less covered than their surroundings, or empty.
-
-    Coverage, (H, W), is the kernel mass as a share of that of a uniform spread.
-    """
+    """Return which pixels are holes: far less covered than their surroundings, or empty."""
     return (coverage < HOLE_SHARE * surroundings(coverage)) | (coverage < HOLE_COVERAGE)
 
 

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from clmorph._shared.items import Items
 from clmorph._shared.typing import Array
-from clmorph._shared.validation import check_integer, shown
+from clmorph._shared.validation import check_integer, check_number, shown
 from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
-from clmorph.frames.render import Sums, Widths
+from clmorph.frames.render import Sums, Widths, check_widths
 from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
@@ -24,11 +24,7 @@ Frame = NDArray[np.float32]
 
 
 class FrameSequence(Items[Frame]):
-    """Frames at given times, with the transport that they come from.
-
-    The object is a sequence: ``len(frames)``, ``frames[i]``, ``frames[i:j]`` and iteration refer to
-    the frames at `times`. The method `frame` renders one at any time.
-    """
+    """The frames at `times`, drawn when they are asked for, and the transport behind them."""
 
     source: Measure
     target: Measure
@@ -44,6 +40,9 @@ class FrameSequence(Items[Frame]):
     unmatched: str
     #: The options of the morph, including those of playback and of files.
     options: Any
+
+    #: What draws them, such as a `clmorph.frames.frame_renderer.FrameRenderer`.
+    _renderer: Any
 
     #: What such frames are, in a word.
     kind: ClassVar[str] = "Morph"
@@ -69,17 +68,53 @@ class FrameSequence(Items[Frame]):
         """
         return self.source.shape, self.target.shape
 
-    @abstractmethod
     def canvas(self, t: float) -> Canvas:
-        """Return the canvas at time t."""
+        """Return the canvas at time t.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> morph.canvas(0.5).shape
+        (6, 6)
+        """
+        canvas: Canvas = self._renderer.canvas(check_number("t", t, 0.0, 1.0))
+        return canvas
+
+    def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
+        """Render colors, coverage and density at time t as splats, without exact ends.
+
+        Parameters
+        ----------
+        t : float in [0, 1]
+        widths : Widths, optional
+            Kernel widths, in place of those of the frames.
+
+        Returns
+        -------
+        Sums
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> sums = morph.sums(0.5)
+        >>> sums.colors.shape, sums.coverage.shape, sums.density.shape
+        ((6, 6, 3), (6, 6), (6, 6))
+        """
+        t = check_number("t", t, 0.0, 1.0)
+        sums: Sums = self._renderer.sums(t, check_widths(widths))
+        return sums
 
     @abstractmethod
     def frame(self, t: float) -> Frame:
         """Render the frame at time t: (H(t), W(t), 3) or (H(t), W(t), 4) array."""
-
-    @abstractmethod
-    def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
-        """Render colors, coverage and density at time t."""
 
     @property
     @abstractmethod

@@ -104,10 +104,7 @@ def _standard(values: Array, weights: Array) -> Array:
 
 
 def switched(times: Array, agreement: Array, t: float) -> Array:
-    """Return the weight of the second picture at time t: (H, W) array.
-
-    Where both pictures agree, both are seen all the time, as a warp.
-    """
+    """Return the weight of the second picture at time t, as `turns` does: (H, W) array."""
     return turns(times, agreement, (1 - t, t))[1]
 
 
