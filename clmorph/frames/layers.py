@@ -148,11 +148,6 @@ class Moment(NamedTuple):
     agreement: Array
     times: Array
 
-    @classmethod
-    def of(cls, layers: Layers) -> Moment:
-        """Return what the layers of a pair of frames say."""
-        return cls(tuple(layers.fields), layers.agreement, layers.times)
-
     def towards(self, other: Moment, share: float) -> Moment:
         """Return the moment at a share, from 0 to 1, of the time to another one."""
 

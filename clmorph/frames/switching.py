@@ -41,7 +41,6 @@ def switching_times(
     lightness: Array,
     stage: Canvas,
     operations: Operations,
-    seed: int = 0,
     shared: Array | None = None,
     thin: Array | None = None,
 ) -> Array:
@@ -58,7 +57,7 @@ def switching_times(
     unlike = np.linalg.norm(first - second, axis=2)
     # The same disorder at all sizes, so that a preview shows what the film will.
     shape = [max(1, round(NOISE_POINTS * side / longest)) for side in stage.shape]
-    noise = np.random.default_rng(seed).standard_normal((*shape, 1))
+    noise = np.random.default_rng(0).standard_normal((*shape, 1))
     noise = enlarged(blurred(noise, DISORDER * NOISE_POINTS), stage.shape)[..., 0]
     around = blurred(unlike * shared, REGION * longest) / blurred(shared, REGION * longest)
     order = _standard(around, shared) + STRENGTH * _standard(noise, shared)

@@ -317,4 +317,5 @@ class ClipFilm:
             ends, measures, found.particles, (canvas, found.canvas(1.0)), self.operations,
             outlined=False,
         )  # fmt: skip
-        return Moment.of(layers), canvas, ends[0].extent
+        moment = Moment(tuple(layers.fields), layers.agreement, layers.times)
+        return moment, canvas, ends[0].extent

@@ -305,9 +305,7 @@ class Mixes(Items[Frame]):
         check_outputs(outputs, len(legs) + 1 if legs else 0, self.options)
         metadata = self._recipe(legs)
         if legs:
-            write_film(
-                outputs, legs, self.options, self.pixelated, metadata, progress=self.progress
-            )
+            write_film(outputs, legs, self.options, self.pixelated, metadata, None, self.progress)
         else:
             write_sheet(outputs, self.sheet(self.options.background), metadata)
 

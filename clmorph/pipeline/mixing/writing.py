@@ -138,19 +138,18 @@ def write_film(
     options: MorphOptions,
     pixelated: bool,
     metadata: Mapping[str, Any],
-    texts: Mapping[Path, str] | None = None,
-    progress: StageProgress | None = None,
+    texts: Mapping[Path, str] | None,
+    progress: StageProgress,
 ) -> tuple[int, float]:
     """Write a path's film and texts, whole or none; return its frames and a round's seconds."""
-    report = progress or (lambda stage, share: None)
     motion = motion_of(options, held_frames(len(legs) + 1, options.n_frames))
     style = FrameStyle(**options.of(FrameStyle))
     with recorded_for(
         outputs, legs, motion, n_morphs=len(legs), reverse=options.reverse, pixelated=pixelated,
-        parameters=metadata, progress=report,
+        parameters=metadata, progress=progress,
     ) as film:  # fmt: skip
         write_all(
             outputs, film, style,
-            lambda output, share: report(f"write {output.path.name}", share), texts,
+            lambda output, share: progress(f"write {output.path.name}", share), texts,
         )  # fmt: skip
         return len(film), film.duration
