@@ -132,6 +132,7 @@ def inspect(
     report = check_progress(progress)
     pair = ImagePair.of(images, chosen, Maps(weights, color_metric, labels, features))
     source, target, misses = pair.measures()
+    landmarks: Any = pair.options.landmarks or ()
     whole = source, target
     blocks = pair.blocks(*whole)
     parts = pair.parts(blocks)
@@ -195,7 +196,7 @@ def inspect(
         moving=moving,
         shapes=(whole[0].shape, whole[1].shape),
         device=operations.description,
-        marks=Marks(pair.options.landmarks or (), pair.given_shapes, misses, pair.found),
+        marks=Marks(landmarks, pair.given_shapes, misses, pair.found),
     )  # fmt: skip
 
 

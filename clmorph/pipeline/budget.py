@@ -254,7 +254,7 @@ def predict_pairs(
         return int(operations.count_plan_rows(plan, precise).sum())
 
     if log_threshold is not None:
-        return round(sides[0].scale * kept(*sides, log_threshold))
+        return round(sides[0].scale * kept(sides[0], sides[1], log_threshold))
     thresholds = [
         operations.row_maxima(own.part, other.cloud, other.potential, epsilon)
         + own.few / epsilon
