@@ -40,6 +40,8 @@ class FrameSequence(Items[Frame]):
     unmatched: str
     #: The options of the morph, including those of playback and of files.
     options: Any
+    #: Shapes (height, width) of the images as they were given; None if frames have these.
+    shapes: tuple[tuple[int, int], tuple[int, int]] | None = None
 
     #: What draws them, such as a `clmorph.frames.frame_renderer.FrameRenderer`.
     _renderer: Any
@@ -64,9 +66,16 @@ class FrameSequence(Items[Frame]):
     def given_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """Shapes (height, width) of the images as they were given, in whose pixels landmarks are.
 
-        They are those of `source` and `target` if the images were not reduced.
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> image = np.eye(12)
+        >>> morph = clmorph.morph(image, image, size=6, n_frames=2, backend="numpy")
+        >>> morph.given_shapes, morph.source.shape
+        (((12, 12), (12, 12)), (6, 6))
         """
-        return self.source.shape, self.target.shape
+        return self.shapes or (self.canvas(0.0).shape, self.canvas(1.0).shape)
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t.
@@ -135,6 +144,8 @@ class FrameSequence(Items[Frame]):
     def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:
         """Render the frames one by one, without keeping them.
 
+        Several devices work at once. Frames that `Morph.frames` has cached are not rendered again.
+
         Parameters
         ----------
         first : int
@@ -150,7 +161,9 @@ class FrameSequence(Items[Frame]):
         >>> [frame.shape for frame in morph.iter_frames()]
         [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
         """
-        first = check_integer("first", first, 0, len(self))
+        return self._frames_from(check_integer("first", first, 0, len(self)))
+
+    def _frames_from(self, first: int) -> Generator[Frame, None, None]:
         return (self[index] for index in range(first, len(self)))
 
 
