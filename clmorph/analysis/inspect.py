@@ -134,8 +134,7 @@ def inspect(
     source, target, misses = pair.measures()
     landmarks: Any = pair.options.landmarks or ()
     whole = source, target
-    blocks = pair.blocks(*whole)
-    parts = pair.parts(blocks)
+    blocks, parts = pair.parts(*whole)
     source, target = blocks[0].coarse, blocks[1].coarse
     log_threshold, n_frames = chosen.log_threshold, chosen.n_frames
     operations = get_backend(backend)

@@ -42,7 +42,7 @@ from clmorph.transport.divergence import sinkhorn_divergence
 from clmorph.transport.options import SolverOptions
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import regularization
+from clmorph.transport.regularization import Regularization, regularization
 from clmorph.transport.sinkhorn import sinkhorn, warn_unless_converged
 from clmorph.transport.subproblems import Subproblem, by_label, solve_parts
 
@@ -188,20 +188,21 @@ class ImagePair:
         assert landmarks != AUTO  # `guides` has found them
         return guided(*measures, landmarks, self.given_shapes)
 
-    def blocks(self, source: Measure, target: Measure) -> tuple[PixelBlocks, PixelBlocks]:
-        """Group pixels into blocks, between which the transport is solved."""
-        most = self.options.solve_size
-        return group_pixels(source, most), group_pixels(target, most)
-
-    def parts(self, blocks: tuple[PixelBlocks, PixelBlocks]) -> list[Subproblem]:
-        """Return the problems that are solved by themselves: one, or one for each label."""
+    @property
+    def _regularization(self) -> Regularization:
         options = self.options
-        whole = blocks[0].fine, blocks[1].fine
-        labels = self.maps.labels_of(whole, self.given_shapes)
+        return regularization(options.blur, options.reach, options.epsilon, options.rho)
+
+    def parts(
+        self, source: Measure, target: Measure
+    ) -> tuple[tuple[PixelBlocks, PixelBlocks], list[Subproblem]]:
+        """Group pixels into blocks; return these, and the problem, or one for each label."""
+        most = self.options.solve_size
+        blocks = group_pixels(source, most), group_pixels(target, most)
+        labels = self.maps.labels_of((source, target), self.given_shapes)
         if labels is None:
-            return [Subproblem(*blocks)]
-        given = regularization(options.blur, options.reach, options.epsilon, options.rho)
-        return by_label(*whole, labels, options.solve_size, given)
+            return blocks, [Subproblem(*blocks)]
+        return blocks, by_label(source, target, labels, most, self._regularization)
 
     def labels(self, source: Measure, target: Measure) -> tuple[IntArray, IntArray] | None:
         """Return the labels of the pixels, (N,) and (M,); None if there are none."""
@@ -223,9 +224,8 @@ class ImagePair:
                 **options.of(SolverOptions),
             )  # fmt: skip
             return [found], found
-        given = regularization(options.blur, options.reach, options.epsilon, options.rho)
         solved, whole = solve_parts(
-            parts, masses, given, options.tol, options.max_iter, operations, report
+            parts, masses, self._regularization, options.tol, options.max_iter, operations, report
         )
         warn_unless_converged(whole.status, whole.message, 5)
         return solved, whole
@@ -239,8 +239,7 @@ class ImagePair:
             raise InputError(NO_DIVERGENCE)
         if options.barycentric:
             destination_colors(source, target)  # raises an error if there can be none
-        blocks = self.blocks(source, target)
-        parts = self.parts(blocks)
+        blocks, parts = self.parts(source, target)
         operations = get_backend(backend)
         check_ways(*blocks, operations, options)
         report("transport", 0.0)
