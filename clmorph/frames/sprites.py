@@ -57,10 +57,7 @@ class Sprites:
     """The parts of a morph between flat images."""
 
     def __init__(
-        self,
-        measures: tuple[Measure, Measure],
-        particles: Particles,
-        operations: Operations,
+        self, measures: tuple[Measure, Measure], particles: Particles, operations: Operations
     ) -> None:
         self._space = particles.path_space
         self._sides = [_side(measure) for measure in measures]
@@ -181,11 +178,7 @@ class Parts:
     """Groups of a morph's particles, by their numbers, with ends in a `table` (P, 6)."""
 
     def __init__(
-        self,
-        operations: Operations,
-        particles: Particles,
-        table: Array,
-        groups: list[IntArray],
+        self, operations: Operations, particles: Particles, table: Array, groups: list[IntArray]
     ) -> None:
         self._operations, self._table = operations, table
         self._links, self._weights = particles.links, particles.weights
