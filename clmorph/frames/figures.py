@@ -173,9 +173,13 @@ def beyond(image: NDArray[_Real], pure: BoolArray) -> NDArray[_Real]:
     return image if pure.all() else image[nearest(pure)]
 
 
-def nearest(pure: BoolArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def nearest(
+    pure: BoolArray, pitch: Sequence[float] | None = None
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Return the row and the column of the nearest pixel that belongs to a figure, (H, W) each."""
     from scipy.ndimage import distance_transform_edt
 
-    rows, columns = distance_transform_edt(~pure, return_distances=False, return_indices=True)
+    rows, columns = distance_transform_edt(
+        ~pure, sampling=pitch, return_distances=False, return_indices=True
+    )
     return rows, columns

@@ -21,6 +21,7 @@ from clmorph._shared.typing import Array, BoolArray, IntArray
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.frames.canvas import Canvas
+from clmorph.frames.ends import End
 from clmorph.frames.figures import mixed_ground, nearest
 from clmorph.frames.growth import take_after
 from clmorph.frames.particles import Particles
@@ -150,20 +151,16 @@ class Sprites:
 
 def _side(measure: Measure) -> _Side:
     """Divide an image into background and regions."""
-    colors = measure.colors.reshape(*measure.shape, 3)
-    inside = (measure.weights > 0).reshape(measure.shape)
-    alpha = np.ones(measure.shape)
-    if measure.alpha is not None:
-        alpha = measure.alpha.reshape(measure.shape)
+    end, inside = End.of(measure), (measure.weights > 0).reshape(measure.shape)
+    alpha = np.ones(end.shape) if end.alpha is None else end.alpha
+    if end.alpha is not None:
         # A pixel of an edge belongs to the shape if it is mostly opaque.
-        solid = inside & foreground(colors, alpha)
+        solid = inside & foreground(end.colors, alpha)
         inside = solid if solid.any() else inside
-    regions = flat_regions(colors, alpha, inside, COLORS)
-    if inside.all():
+    regions = flat_regions(end.colors, alpha, inside, COLORS)
+    if inside.all() or end.alpha is not None:
         return _Side(inside, regions, np.zeros(3), 0.0)
-    clear = measure.alpha is not None
-    ground = np.zeros(3) if clear else np.median(colors[~inside], axis=0)
-    return _Side(inside, regions, ground, 0.0 if clear else 1.0)
+    return _Side(inside, regions, np.median(end.colors[~inside], axis=0), 1.0)
 
 
 def _inside(density: Array, area: float) -> Array:

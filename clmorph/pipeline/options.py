@@ -211,10 +211,6 @@ class MorphOptions(
                 )
         return super().replace(**given)
 
-    def of(self, stage: type[Options]) -> dict[str, Any]:
-        """Return the options of one stage, a class that this one joins, by their names."""
-        return {name: getattr(self, name) for name in specifications(stage)}
-
 
 def preset_options(name: str | None) -> dict[str, Any]:
     """Return all options that any preset sets, with their values in one ("photo" if None)."""
