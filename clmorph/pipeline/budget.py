@@ -14,7 +14,6 @@ from clmorph.backends.records import PlanTerms
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError, MemoryWarning, PruningWarning
 from clmorph.images.label_maps import label_text
-from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
 from clmorph.pipeline.memory import Memory, estimate, most_particles
@@ -157,22 +156,17 @@ def _need(
     source: PixelBlocks, target: PixelBlocks, particles: float, operations: Operations
 ) -> Memory:
     """Return the memory of a morph of this number of particles, drawn as takes the most."""
-    n, m = len(source.fine), len(target.fine)
+    n, m, features = len(source.fine), len(target.fine), source.fine.features
+    dimension = 5 if features is None else 5 + features.shape[1]
+    dimension = MAX_LIFTED if source.fine.has_metric_map else dimension
     return estimate(
         n + m, (len(source.coarse), len(target.coarse)), particles, operations,
-        alpha=_has_opacity(source, target), dimension=dimension_of(source.fine), frame=max(n, m),
+        alpha=_has_opacity(source, target), dimension=dimension, frame=max(n, m),
     )  # fmt: skip
 
 
 def _has_opacity(source: PixelBlocks, target: PixelBlocks) -> bool:
     return any(blocks.fine.alpha is not None for blocks in (source, target))
-
-
-def dimension_of(measure: Measure) -> int:
-    """Return the number of coordinates of the cost between an image and another one."""
-    if measure.has_metric_map:
-        return MAX_LIFTED
-    return 5 + (0 if measure.features is None else measure.features.shape[1])
 
 
 def choose_way(
