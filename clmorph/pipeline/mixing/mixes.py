@@ -40,6 +40,14 @@ def pairs_of(count: int) -> list[tuple[int, int]]:
     return list(itertools.combinations(range(count), 2))
 
 
+class _Solved:
+    """Morphs that are kept: between images, and the one between two mixes that was used last."""
+
+    def __init__(self) -> None:
+        self.morphs: dict[tuple[int, int], Morph] = {}
+        self.last: dict[bytes, Morph] = {}
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Mixes(Items[Frame]):
     """Pictures that mix several images: a sequence with one picture for each row of `weights`.
@@ -81,9 +89,7 @@ class Mixes(Items[Frame]):
     operations: Operations = field(repr=False)
     shapes: list[tuple[int, int]]
     progress: StageProgress = field(repr=False)
-    #: Morphs that are kept: between images, and the one between two mixes that was used last.
-    _morphs: dict[tuple[int, int], Morph] = field(init=False, default_factory=dict)
-    _last: dict[bytes, Morph] = field(init=False, default_factory=dict)
+    _solved: _Solved = field(init=False, default_factory=_Solved, repr=False)
 
     def __repr__(self) -> str:
         return f"<Mixes of {len(self.images)} images, {len(self)} pictures>"
@@ -175,16 +181,16 @@ class Mixes(Items[Frame]):
         """
         first = check_integer("first", first, 0, len(self.images) - 1)
         second = check_integer("second", second, 0, len(self.images) - 1)
-        if (first, second) not in self._morphs:
+        if (first, second) not in self._solved.morphs:
             pair = ImagePair(
                 [self.images[first], self.images[second]], self._options_of(first, second),
                 [self.shapes[first], self.shapes[second]],
             )  # fmt: skip
             name = f" {first + 1}-{second + 1}" if len(self.images) > 2 else ""
-            self._morphs[first, second] = pair.morph(
+            self._solved.morphs[first, second] = pair.morph(
                 self.operations, lambda stage, share: self.progress(stage + name, share)
             )
-        return self._morphs[first, second]
+        return self._solved.morphs[first, second]
 
     def _options_of(self, first: int, second: int) -> MorphOptions:
         """Return the options of the morph between two images."""
@@ -358,11 +364,11 @@ class Mixes(Items[Frame]):
     def _step(self, weights: Array) -> Array:
         """Draw a mix as the frame of a morph between the mixes of both halves of the images."""
         first, second, key = self._halves(weights)
-        if key not in self._last:
+        if key not in self._solved.last:
             ends = [self._drawn(each).astype(np.float64) for each in (first, second)]
             plain = self.options.replace(landmarks=None)
             found = ImagePair(ends, plain).morph(self.operations, self.progress)
-            self._last.clear()
-            self._last[key] = found
+            self._solved.last.clear()
+            self._solved.last[key] = found
         share = float(weights[second > 0].sum())
-        return self._last[key].frame(share).astype(np.float64)
+        return self._solved.last[key].frame(share).astype(np.float64)
