@@ -50,10 +50,7 @@ class CellPaths(NamedTuple):
 
 
 class Cells:
-    """Moving cells between two pictures, (H, W, 3 or 4) each, of any sizes.
-
-    The pictures' colors are in the space of the path; a fourth channel is opacity.
-    """
+    """Moving cells between two pictures, (H, W, 3) or with opacity 4, in the space of the path."""
 
     def __init__(
         self,

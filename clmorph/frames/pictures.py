@@ -85,8 +85,7 @@ class Channels:
     def _uploaded(self, images: Sequence[Float32], small: Canvas) -> tuple[Any, Canvas]:
         from scipy.ndimage import spline_filter
 
-        wide = small if self._edge is None else _with_margin(small)
-        margin = (wide.shape[0] - small.shape[0]) // 2
+        wide, margin = (small, 0) if self._edge is None else _with_margin(small)
         spline = np.zeros((*wide.shape, 4), np.float32)
         channels = (image[..., c] for image in images for c in range(image.shape[2]))
         for number, channel in enumerate(channels):
@@ -100,11 +99,11 @@ class Channels:
         return self._operations.upload_spline(spline), wide
 
 
-def _with_margin(canvas: Canvas) -> Canvas:
-    """Return a canvas with a margin on all sides."""
+def _with_margin(canvas: Canvas) -> tuple[Canvas, int]:
+    """Return a canvas with a margin on all sides, and the margin in pixels."""
     margin = round(MARGIN * max(canvas.shape))
     height, width = canvas.shape
-    return Canvas((height + 2 * margin, width + 2 * margin), canvas.scale)
+    return Canvas((height + 2 * margin, width + 2 * margin), canvas.scale), margin
 
 
 def _continued(distance: Float32, canvas: Canvas) -> Float32:
@@ -114,11 +113,10 @@ def _continued(distance: Float32, canvas: Canvas) -> Float32:
     """
     from scipy.ndimage import distance_transform_edt
 
-    few, wide = canvas.reduced(MARGIN_PIXELS), _with_margin(canvas)
-    margin = (wide.shape[0] - canvas.shape[0]) // 2
+    few, (wide, margin) = canvas.reduced(MARGIN_PIXELS), _with_margin(canvas)
     if few.shape != canvas.shape:
         coarse = _continued(reduced(distance, few.shape), few)
-        wider = Enlarged(coarse, affine(wide, _with_margin(few)), wide.shape).rows()
+        wider = Enlarged(coarse, affine(wide, _with_margin(few)[0]), wide.shape).rows()
         wider[margin:-margin, margin:-margin] = distance
         return wider
     pixel = 1 / max(*canvas.scale, 1e-9)

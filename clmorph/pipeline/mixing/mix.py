@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 
 from clmorph._shared.progress import StageProgress
-from clmorph._shared.typing import AnyArray, ArrayLike
+from clmorph._shared.typing import ArrayLike
 from clmorph._shared.validation import check_progress, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
@@ -88,10 +88,18 @@ def mix(
     >>> mixes.weights[1].tolist(), mixes.sheet().shape
     ([0.5, 0.5, 0.0, 0.0], (12, 18, 3))
     """
-    pictures, progress = check_images(images), check_progress(progress)
+    progress, known = check_progress(progress), isinstance(images, list | tuple)
+    if not known and not (isinstance(images, np.ndarray) and images.ndim == 4):
+        raise InputError(f"images={shown(images)}: expected a list of two or more images")
+    count = len(images)
+    if not 2 <= count <= MOST_IMAGES:
+        raise InputError(
+            f"images: {count} given; expected 2 to {MOST_IMAGES}, because each pair of them is "
+            "solved"
+        )
+    pictures = as_images(list(images))
     if weights is not None and grid is not None:
         raise InputError("weights and grid contradict: give one of them")
-    count = len(pictures)
     if weights is None:
         layout = grid_layout(count, grid)
     else:
@@ -100,16 +108,3 @@ def mix(
     guide = guides(pictures, pairs_of(count), chosen)
     operations = get_backend(backend)
     return Mixes(fitted(pictures, chosen), layout, guide, operations, shapes_of(pictures), progress)
-
-
-def check_images(images: Any) -> list[AnyArray]:
-    """Return the images of a mix, if their number and each of them can be used."""
-    known = isinstance(images, list | tuple)
-    if not known and not (isinstance(images, np.ndarray) and images.ndim == 4):
-        raise InputError(f"images={shown(images)}: expected a list of two or more images")
-    if not 2 <= len(images) <= MOST_IMAGES:
-        raise InputError(
-            f"images: {len(images)} given; expected 2 to {MOST_IMAGES}, because each pair of them "
-            "is solved"
-        )
-    return as_images(list(images))
