@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -88,8 +88,9 @@ def mix(
     >>> mixes.weights[1].tolist(), mixes.sheet().shape
     ([0.5, 0.5, 0.0, 0.0], (12, 18, 3))
     """
-    progress, known = check_progress(progress), isinstance(images, list | tuple)
-    if not known and not (isinstance(images, np.ndarray) and images.ndim == 4):
+    several: Any = images
+    progress, known = check_progress(progress), isinstance(several, list | tuple)
+    if not known and not (isinstance(several, np.ndarray) and several.ndim == 4):
         raise InputError(f"images={shown(images)}: expected a list of two or more images")
     count = len(images)
     if not 2 <= count <= MOST_IMAGES:
