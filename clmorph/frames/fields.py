@@ -13,6 +13,7 @@ displaced by the gap, along its distance's slope (`led_to`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -124,7 +125,7 @@ def field_of(
     measures: tuple[Measure, Measure],
     picture: Float32,
     other: Float32,
-    canvases: tuple[Canvas, Canvas],
+    canvases: Sequence[Canvas],
     operations: Operations,
     *,
     figure: bool,

@@ -162,9 +162,8 @@ class FrameRenderer:
         if self._like is not None:
             moving = self._like._moving
             return None if moving is None else moving.on(self.operations)
-        canvases = self.canvas(0.0), self.canvas(1.0)
         if self.detail == "layers":
-            return Layers(self._ends, self._measures, self._particles, canvases, self.operations)
+            return Layers(self._ends, self._measures, self._particles, self.operations)
         if self.detail == "pixels":
             return Sprites(self._measures, self._particles, self.operations)
         if self.detail == "cells":
@@ -176,6 +175,7 @@ class FrameRenderer:
                 for end in self._ends
             ]
             paths = cells_of_plan(*self._measures, self._plan, MOSAIC)
+            canvases = [end.canvas for end in self._ends]
             return Cells(paths, pictures, canvases, self.operations)
         return None
 

@@ -55,21 +55,19 @@ class Layers:
         ends: tuple[End, End],
         measures: tuple[Measure, Measure],
         particles: Particles,
-        canvases: tuple[Canvas, Canvas],
         operations: Operations,
         *,
         outlined: bool = True,
     ) -> None:
         self._operations = operations
         figures = figures_of(measures, ends) if outlined else None
-        self._pictures = pictures = Pictures(
-            ends, canvases, figures, particles.path_space, operations
-        )
+        pictures = Pictures(ends, figures, particles.path_space, operations)
+        self._pictures = pictures
         self.stage = pictures.stage
         fields = [
             field_of(
                 particles, end, measures, pictures.continued[end], pictures.cells[1 - end],
-                canvases, operations, figure=figures is not None,
+                pictures.canvases, operations, figure=figures is not None,
             )
             for end in (0, 1)
         ]  # fmt: skip
@@ -168,7 +166,7 @@ class Moment(NamedTuple):
     ) -> NDArray[np.floating]:  # fmt: skip
         """Draw two opaque pictures, (H, W, 3) each, on a canvas at the time t of their film."""
         ends = [End(picture, None, extent) for picture in pictures]
-        drawn = Pictures(ends, (canvas, canvas), None, space, operations)
+        drawn = Pictures(ends, None, space, operations)
         layers = [
             layer_of(
                 field._replace(guide=reduced(own, field.canvas.shape)),

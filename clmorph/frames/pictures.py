@@ -154,12 +154,12 @@ class Pictures:
     def __init__(
         self,
         ends: Sequence[End],
-        canvases: Sequence[Canvas],
         figures: Sequence[Figure] | None,
         space: str,
         operations: Operations,
     ) -> None:
-        self._space, self._operations, self.canvases = space, operations, list(canvases)
+        self._space, self._operations = space, operations
+        self.canvases = [end.canvas for end in ends]
         self._ends, self.figures = ends, figures
         self._areas = [figure.area for figure in figures or ()]
         #: How far outlines on the way are smoothed, from 0 to 1: not at all where they coincide.
@@ -170,7 +170,7 @@ class Pictures:
         )
         #: Whether frames have opacity.
         self.clear = any(end.alpha is not None for end in ends)
-        self.stage = stage_of(canvases)
+        self.stage = stage_of(self.canvases)
         self._per_unit = max(*self.stage.scale, 1e-9)
         self._upload()
 

@@ -312,10 +312,6 @@ class ClipFilm:
         found = pair.morph(self.operations, self.progress)
         measures = found.source, found.target
         ends = ends_of(measures, found.pictures)
-        canvas = found.canvas(0.0)
-        layers = Layers(
-            ends, measures, found.particles, (canvas, found.canvas(1.0)), self.operations,
-            outlined=False,
-        )  # fmt: skip
+        layers = Layers(ends, measures, found.particles, self.operations, outlined=False)
         moment = Moment(tuple(layers.fields), layers.agreement, layers.times)
-        return moment, canvas, ends[0].extent
+        return moment, ends[0].canvas, ends[0].extent
