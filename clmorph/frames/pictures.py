@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.threads import in_order
-from clmorph._shared.typing import AnyArray, Array
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.backends.records import LayerView
 from clmorph.frames.canvas import Canvas
@@ -256,7 +256,7 @@ class Pictures:
 
         def distance_on(on: Canvas) -> Float32:
             found = np.empty(on.shape, np.float32)
-            for rows in _bands(on):
+            for rows in _bands(on.shape):
                 found[rows] = drawn("figure", covered, lines, on, rows=rows)[..., 3]
             return found
 
@@ -291,7 +291,7 @@ class Pictures:
         grounds = [(each.ground, each.ground_alpha) for each in self.figures]
         ground = mixed_ground(shares, grounds, self._space)
         frame = np.empty((*canvas.shape, 4 if self.clear else 3), np.float32)
-        for rows in _bands(canvas):
+        for rows in _bands(canvas.shape):
             figure = self._drawn(led, ways, "figure", within, none, canvas, rows=rows)
             own = drawn("own", there, there, canvas, rows=rows) if seen.any() else None
             opacity = (
@@ -341,12 +341,7 @@ class Pictures:
             if self.clear:
                 frame[here, columns, 3:] = np.clip(whole, 0.0, 1.0)
 
-        height, width = rows.stop - rows.start, frame.shape[1]
-        together = max(1, PART // width)
-        parts = (
-            slice(first, min(first + together, height)) for first in range(0, height, together)
-        )
-        for _ in in_order(put, parts):
+        for _ in in_order(put, _bands((rows.stop - rows.start, frame.shape[1]), PART)):
             pass
 
     def _distances(self, layers: Sequence[Layer], ways: Sequence[float]) -> list[Array]:
@@ -407,16 +402,15 @@ class Pictures:
 def _in_space(colors: NDArray[np.floating], space: str) -> Float32:
     """Return sRGB colors (H, W, 3) in the space of a path, some rows at a time."""
     found = np.empty(colors.shape, np.float32)
-    for rows in _bands(colors):
+    for rows in _bands(colors.shape):
         found[rows] = to_space(colors[rows], space)
     return found
 
 
-def _bands(over: Canvas | AnyArray) -> list[slice]:
-    """Return the rows of a canvas, or of a picture, in parts that take little memory."""
-    height, width = over.shape[:2]
-    together = max(1, BAND // width)
-    return [slice(row, min(row + together, height)) for row in range(0, height, together)]
+def _bands(shape: tuple[int, ...], most: int = BAND) -> list[slice]:
+    """Return the rows of a picture in parts of a few pixels, which take little memory."""
+    together = max(1, most // shape[1])
+    return [slice(row, min(row + together, shape[0])) for row in range(0, shape[0], together)]
 
 
 def _where_covered(
