@@ -140,6 +140,11 @@ class Options:
             del settings[name if settings[other] is not None else other]
         return settings
 
+    def of(self, stage: type["Options"]) -> dict[str, Any]:
+        """Return those of the options of another class that this one has, too, by their names."""
+        known = specifications(type(self))
+        return {name: getattr(self, name) for name in specifications(stage) if name in known}
+
     def replace(self, **given: Any) -> Self:
         """Return a copy of these options with some replaced."""
         return type(self)(**self.layered((self.as_dict(), given)))

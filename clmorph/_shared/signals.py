@@ -44,8 +44,9 @@ class Ending:
     def __init__(self) -> None:
         self.written = False
         self.partial = ""
-        self._depth = 0
-        self._waiting: int | None = None
+        #: Blocks that put signals off, and the signal that waits for their end.
+        self.depth = 0
+        self.waiting: int | None = None
         self._last = -PATIENCE
 
     def handle(self, number: int, frame: FrameType | None) -> None:
@@ -54,8 +55,8 @@ class Ending:
         if _current is not self or now - self._last < PATIENCE:
             return  # the run is over, or its cleanup is in progress
         self._last = now
-        if self._depth:
-            self._waiting = number
+        if self.depth:
+            self.waiting = number
         else:
             raise Terminated(number)
 
@@ -72,19 +73,6 @@ class Ending:
     def _again(self, number: int) -> None:
         if _current is self:
             _thread.interrupt_main(signal.Signals(number))
-
-    @contextmanager
-    def put_off(self) -> Iterator[None]:
-        """Delay signals that arrive during the block until the block has ended."""
-        self._depth += 1
-        try:
-            yield
-        finally:
-            self._depth -= 1
-            # A failed block raises it too; otherwise a later, unrelated block would end the run.
-            if self._waiting is not None and not self._depth:
-                number, self._waiting = self._waiting, None
-                raise Terminated(number)
 
 
 def farewell(ending: Ending, number: int) -> int:
@@ -130,8 +118,15 @@ def undisturbed() -> Iterator[None]:
     if ending is None or threading.current_thread() is not threading.main_thread():
         yield
         return
-    with ending.put_off():
+    ending.depth += 1
+    try:
         yield
+    finally:
+        ending.depth -= 1
+        # A failed block raises it too; otherwise a later, unrelated block would end the run.
+        if ending.waiting is not None and not ending.depth:
+            number, ending.waiting = ending.waiting, None
+            raise Terminated(number)
 
 
 def note_written() -> None:

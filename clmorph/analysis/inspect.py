@@ -30,13 +30,12 @@ from clmorph.pipeline.budget import (
     warn_if_much_is_dropped,
 )
 from clmorph.pipeline.documentation import documented
-from clmorph.pipeline.guides import guides, labeled
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.maps import Maps
 from clmorph.pipeline.memory import expected, process_memory
-from clmorph.pipeline.morph import ImagePair, shapes_of
+from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
-from clmorph.pipeline.prepare import as_images, as_options, fitted
+from clmorph.pipeline.prepare import as_images, as_options
 from clmorph.pipeline.presets import PresetName
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.displacement import Displacement, displacement_of, displacement_statistics
@@ -55,6 +54,8 @@ INSPECTED = (
     *specifications(LiftOptions), *specifications(GuideOptions), *specifications(BudgetOptions),
     *specifications(SolverOptions), "log_threshold", "n_frames",
 )  # fmt: skip
+#: Options with which a plan keeps all its pairs.
+UNLIMITED = MorphOptions(max_particles=None, max_memory=1e18)
 
 
 @documented(MorphOptions, INSPECTED)
@@ -124,26 +125,21 @@ def inspect(
     True
     """
     images = as_images((image_a, image_b))
-    chosen = as_options(options, preset, given, images)
+    # All pairs are counted, however a morph would draw.
+    chosen = as_options(options, preset, given, images).replace(sample=None, barycentric=False)
     max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
-    maps = Maps(weights, color_metric, labels, features)
-    maps, _ = labeled(images, maps)
-    guide = guides(images, [(0, 1)], chosen, maps)
-    pair = ImagePair(
-        fitted(images, chosen, maps), guide.of(0), shapes_of(images), maps, guide.found
-    )
+    pair = ImagePair.of(images, chosen, Maps(weights, color_metric, labels, features))
     source, target, misses = pair.measures()
+    landmarks: Any = pair.options.landmarks or ()
     whole = source, target
-    blocks = pair.blocks(*whole)
-    parts = pair.parts(blocks)
+    blocks, parts = pair.parts(*whole)
     source, target = blocks[0].coarse, blocks[1].coarse
-    tol, max_iter, log_threshold = chosen.tol, chosen.max_iter, chosen.log_threshold
-    max_particles, max_memory, n_frames = chosen.max_particles, chosen.max_memory, chosen.n_frames
+    log_threshold, n_frames = chosen.log_threshold, chosen.n_frames
     operations = get_backend(backend)
     process = process_memory(operations)
-    check_ways(*blocks, operations, max_memory=max_memory, log_threshold=log_threshold)
+    check_ways(*blocks, operations, chosen)
     report("transport", 0.0)
     began = time.perf_counter()
     solved, potentials = pair.solve(
@@ -151,12 +147,13 @@ def inspect(
     )
     transport_seconds = time.perf_counter() - began
 
-    found, why = None, _no_divergence(source, potentials, divergence, maps)
+    found, why = None, _no_divergence(source, potentials, divergence, pair.maps)
     if not why:
         report("divergence", 0.0)
         assert not isinstance(potentials.reach, tuple)
         found = sinkhorn_divergence(
-            source, target, potentials.blur, potentials.reach, tol, max_iter, operations,
+            source, target, potentials.blur, potentials.reach, chosen.tol, chosen.max_iter,
+            operations,
             cross=potentials, progress=lambda share: report("divergence", share),
         )  # fmt: skip
 
@@ -174,9 +171,7 @@ def inspect(
     report("plan", 1.0)
 
     report("timing", 0.0)
-    way = choose_way(
-        parts, solved, operations, max_particles, max_memory, log_threshold, stacklevel=2
-    )
+    way = choose_way(parts, solved, operations, chosen, stacklevel=2)
     drawn, moving = _drawn(parts, solved, plan, pairs, way, operations)
     frames = frame_seconds(
         *whole, potentials, drawn, moving, n_frames, operations, chosen.detail, pair.labels(*whole)
@@ -193,14 +188,14 @@ def inspect(
         no_divergence=why,
         memory=expected(
             [(*image.shape[:2], image.shape[2]) for image in pair.images], pair.options,
-            operations, maps, process=process, particles=moving,
+            operations, pair.maps, process=process, particles=moving,
         ),
         seconds=Seconds(transport_seconds, plan_seconds, frames),
         n_frames=n_frames,
         moving=moving,
         shapes=(whole[0].shape, whole[1].shape),
         device=operations.description,
-        marks=Marks(guide.each[0], pair.given_shapes, misses, guide.found),
+        marks=Marks(landmarks, pair.given_shapes, misses, pair.found),
     )  # fmt: skip
 
 
@@ -246,20 +241,20 @@ def _drawn(
     blocks = parts[0].blocks
     finest = finest_pixels(*blocks)
     if way:
-        made = make_plan(parts, solved, operations, **way)
+        made = make_plan(parts, solved, operations, MorphOptions(**way))
         return made, len(made)
     if plan is not None:
         if parts[0].points is None or finest == 1:
             made = refined(plan, *blocks)
         else:
-            made = make_plan(parts, solved, operations, max_memory=np.inf)
+            made = make_plan(parts, solved, operations, UNLIMITED)
         return made, len(made)
     if finest == 1 and parts[0].points is None:
         return None, pairs
     # A sample takes the place of a plan that may not be built: pairs of pixels, as a morph draws.
     draws = max(1, min(MAX_DRAWS // finest, SAMPLED_PAIRS // len(blocks[0].fine)))
     way = {"sample": draws} if finest <= MAX_DRAWS else {"barycentric": True}
-    return make_plan(parts, solved, operations, **way), pairs * finest
+    return make_plan(parts, solved, operations, MorphOptions(**way)), pairs * finest
 
 
 def _no_divergence(source: Measure, potentials: Potentials, wanted: bool, maps: Maps) -> str:

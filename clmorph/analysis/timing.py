@@ -15,7 +15,7 @@ from clmorph.frames.particles import particles
 from clmorph.images.detail import auto_sigma
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
-from clmorph.pipeline.budget import part_of
+from clmorph.pipeline.budget import sampled_part
 from clmorph.pipeline.film import picture_of
 from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport._solver.problem import uploaded
@@ -69,10 +69,7 @@ def fill_seconds(
     """Estimate the time of writing a plan's counted pairs, in proportion to that of some rows."""
     whole = as_pair(source, target)
     count = max(1, round(SAMPLED_PAIRS * len(source) / max(1, pairs)))
-    massive = np.flatnonzero(source.weights > 0)
-    rng = np.random.default_rng(0)
-    chosen = np.sort(rng.choice(massive, min(count, len(massive)), replace=False))
-    some = part_of(whole[0], chosen)
+    chosen, some, _ = sampled_part(whole[0], count, np.random.default_rng(0))
     rows, columns = uploaded(operations, some), RowsOfPlan(operations, whole, potentials).clouds[1]
     f, g, epsilon = potentials.f[chosen], potentials.g, potentials.epsilon
     thresholds = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon

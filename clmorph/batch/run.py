@@ -36,11 +36,10 @@ from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording
 from clmorph.output.save import Output, recorded_for, write_all
 from clmorph.pipeline.budget import default_memory
-from clmorph.pipeline.guides import guides
 from clmorph.pipeline.maps import read_maps
-from clmorph.pipeline.morph import ImagePair, shapes_of
+from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.prepare import fitted, recognized
+from clmorph.pipeline.prepare import recognized
 from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.recipe import picture_entries, recipe
 from clmorph.pipeline.result import Morph
@@ -231,12 +230,9 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
         motion = motion_of(options, held_frames(2, options.n_frames))
         place.check_motion(motion)
         maps = read_maps(beside.get("labels", ()), beside.get("features", ()), most)
-        options = guides(whole, [(0, 1)], options, maps).of(0)
-        pictures = fitted(whole, options)
-        operations = get_backend(device)
-        morph = ImagePair(pictures, options, shapes_of(whole), maps).morph(
-            operations, check_progress(None)
-        )
+        pair = ImagePair.of(whole, options, maps)
+        options, operations = pair.options, get_backend(device)
+        morph = pair.morph(operations, check_progress(None))
 
         def metadata() -> dict[str, Any]:
             entries = picture_entries(images)
@@ -247,7 +243,7 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
 
         with recorded_for(
             [place], [morph], motion, reverse=options.reverse,
-            pixelated=all(map(is_pixel_art, pictures)), parameters=metadata(),
+            pixelated=all(map(is_pixel_art, pair.images)), parameters=metadata(),
         ) as film:  # fmt: skip
             gave_way = any(isinstance(each.message, MemoryWarning) for each in notes)
             if gave_way and options.max_memory is None:

@@ -6,7 +6,7 @@ from typing import Any
 from clmorph._shared.printable import printable
 from clmorph.cli.request import Request
 from clmorph.errors import InputError
-from clmorph.pipeline.mixing.mix import mixes_of
+from clmorph.pipeline.mixing.mix import mix
 from clmorph.pipeline.mixing.mixes import pairs_of
 from clmorph.pipeline.mixing.weights import check_mix_weights, grid_layout, grid_sides, path_weights
 from clmorph.pipeline.mixing.writing import check_outputs, write_film, write_sheet
@@ -31,10 +31,7 @@ def run_mix(request: Request) -> None:
     pictures, _, guide, preset, operations = request.prepared(pairs_of(count))
     chosen = guide.options
     with request.stages() as stages:
-        mixes = mixes_of(
-            pictures, weights, chosen, grid=grid, preset=None, draft=False, backend=operations,
-            progress=stages, given={},
-        )  # fmt: skip
+        mixes = mix(pictures, weights, chosen, grid=grid, backend=operations, progress=stages)
         parameters = request.metadata(chosen, operations)
         texts = request.texts(chosen, operations)
         summary: dict[str, Any] = {

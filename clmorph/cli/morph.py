@@ -22,7 +22,7 @@ from clmorph.output.framing import enlargement_note
 from clmorph.output.recording import Recording
 from clmorph.output.save import PACE, SIZES, recorded_for, write_all
 from clmorph.pipeline.budget import default_memory
-from clmorph.pipeline.clip_morph import EVERY, clip_film
+from clmorph.pipeline.clip_morph import EVERY, ClipFilm
 from clmorph.pipeline.clip_writing import check_clip_outputs, write_clip_film
 from clmorph.pipeline.memory import expected, process_memory
 from clmorph.pipeline.morph import ImagePair, shapes_of
@@ -207,7 +207,7 @@ def _run_clips(request: Request) -> None:
     ]
     with request.stages() as stages:
         operations = request.open()
-        film = clip_film(
+        film = ClipFilm(
             ends[0], ends[1], options, options.fps if "fps" in request.named else None, EVERY,
             request.max_pixels, operations, stages,
         )  # fmt: skip

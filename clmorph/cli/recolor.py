@@ -40,7 +40,7 @@ def run_recolor(request: Request, size: int | None) -> None:
     with request.stages() as stages, noted_warnings():
         look = None
         if lut is not None:
-            mask = None if mask is None else feathered(mask, options.feather)
+            mask = feathered(mask, options.feather)
             found = graded(photo, lut, mask, options.strength, operations)
         else:
             found, look = recolored(photo, others[0], options, mask, operations, stages)

@@ -50,10 +50,7 @@ class CellPaths(NamedTuple):
 
 
 class Cells:
-    """Moving cells between two pictures, (H, W, 3 or 4) each, of any sizes.
-
-    The pictures' colors are in the space of the path; a fourth channel is opacity.
-    """
+    """Moving cells between two pictures, (H, W, 3) or with opacity 4, in the space of the path."""
 
     def __init__(
         self,
@@ -79,10 +76,7 @@ class Cells:
         return other
 
     def frame(self, t: float, canvas: Canvas) -> Array:
-        """Return the frame at time t: (H, W, 3) array or, with opacity, (H, W, 4).
-
-        The frames at both ends are the pictures, on canvases of their own.
-        """
+        """Return the frame at time t: (H, W, 3) array or, with opacity, (H, W, 4)."""
         if t in (0.0, 1.0) and canvas == self._canvases[int(t)]:
             return self._pictures[int(t)].copy()
         begins = np.clip(self.paths.switching, DURATION / 2, 1 - DURATION / 2) - DURATION / 2
@@ -131,10 +125,7 @@ class Cells:
 def owners_at(
     starts: Array, ends: Array, t: float, canvas: Canvas, operations: Operations
 ) -> Owners:
-    """Return the nearest seed of each pixel of a canvas at time t: (H, W) array.
-
-    Seeds go from `starts` to `ends`: (K, 2) arrays (x, y) in the common frame.
-    """
+    """Return the seed, of those from `starts` to `ends`, (K, 2), that is nearest to each pixel."""
     rows, columns = canvas.places((1 - t) * starts + t * ends)
     return operations.nearest_seeds(
         np.column_stack((columns, rows)).astype(np.float32), canvas.shape
@@ -188,10 +179,7 @@ def cells_of_plan(
 
 
 def block_grids(shapes: Sequence[tuple[int, int]], side: int) -> list[tuple[int, int]]:
-    """Return rows and columns of about square blocks, about `side` along the longer side.
-
-    There are about as many in each picture.
-    """
+    """Return rows and columns of about square blocks, about as many in each picture."""
     counts = [side**2 * min(shape) / max(shape) for shape in shapes]
     count = float(np.exp(np.mean(np.log(counts))))
     grids = []

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from clmorph._shared.typing import AnyArray, Array
+from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.measures.measure import Measure
 
 
@@ -24,6 +25,11 @@ class End:
     def shape(self) -> tuple[int, int]:
         """Height and width in pixels."""
         return self.colors.shape[0], self.colors.shape[1]
+
+    @property
+    def canvas(self) -> Canvas:
+        """Its pixels as the canvas of a frame."""
+        return canvas_at(0.0, self.shape, self.shape, self.extent)
 
     @classmethod
     def of(cls, measure: Measure) -> End:

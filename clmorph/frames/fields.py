@@ -13,6 +13,7 @@ displaced by the gap, along its distance's slope (`led_to`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -24,6 +25,7 @@ from clmorph.backends.records import LIKE, Affine
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.particles import Particles
 from clmorph.frames.resampling import Float32, reduced
+from clmorph.measures.measure import Measure
 
 _Real = TypeVar("_Real", np.float32, np.float64)
 
@@ -80,17 +82,12 @@ def affine(here: Canvas, there: Canvas) -> Affine:
     return Affine((origin[1], origin[0]), (step[1], step[0]))
 
 
-class _Cells(NamedTuple):
-    """Means over the cells of one picture: displacement, change of color, share with a partner."""
+def _cells(particles: Particles, end: int, n: int, grid: Canvas) -> tuple[Array, Array, Array]:
+    """Add up the particles that start (end 0) or end (end 1) at pixels; n are the source's.
 
-    values: Array  # (h, w, 5)
-    matched: Array  # (h, w)
-    mass: Array  # (h, w)
-
-
-def _cells(particles: Particles, end: int, sizes: tuple[int, int], grid: Canvas) -> _Cells:
-    """Add up the particles that start (end 0) or end (end 1) at a picture's pixels."""
-    n, _ = sizes
+    The result is, over the cells of the picture, the mean displacement and change of color,
+    (h, w, 5), the mass with a partner, and all mass, (h, w) each.
+    """
     known = len(particles.table) - particles.n_grown
     links = particles.links.astype(np.int64)
     own, other = links[:, end], links[:, 1 - end]
@@ -119,37 +116,35 @@ def _cells(particles: Particles, end: int, sizes: tuple[int, int], grid: Canvas)
         [total(partners * (column[other] - column[own])) for column in columns], axis=-1
     )
     tiny = np.finfo(np.float64).tiny
-    return _Cells(sums / np.maximum(matched, tiny)[..., None], matched, total(mass))
+    return sums / np.maximum(matched, tiny)[..., None], matched, total(mass)
 
 
 def field_of(
     particles: Particles,
     end: int,
-    sizes: tuple[int, int],
-    colors: tuple[NDArray[np.floating], NDArray[np.floating]],
-    canvases: tuple[Canvas, Canvas],
+    measures: tuple[Measure, Measure],
+    picture: Float32,
+    other: Float32,
+    canvases: Sequence[Canvas],
     operations: Operations,
-    labels: IntArray | None = None,
     *,
-    figure: bool = False,
+    figure: bool,
 ) -> Field:
     """Return the field of one picture: the source's with `end` 0, the target's with 1.
 
-    `sizes` are the numbers of points of source and target, and `colors` both pictures, (H, W, 3),
-    in the space of the path. No mean crosses the borders of `labels`, (h, w), of this picture's
-    pixels. With `figure` only pixels with mass count, and the rest moves as the nearest of them.
+    `picture` and `other`, (H, W, 3), are this one and the other one in the space of the path. No
+    mean crosses the borders of this one's labels. With `figure` only pixels with mass count, and
+    the rest moves as the nearest of them.
     """
-    picture, other = (np.asarray(colors[each], np.float32) for each in (end, 1 - end))
     canvas = canvases[end]
     grid, points = canvas.reduced(CELLS), canvas.reduced(POINTS)
-    cells = _cells(particles, end, sizes, grid)
+    values, matched, mass = _cells(particles, end, len(measures[0]), grid)
     tiny = np.finfo(np.float64).tiny
-    share = cells.matched / np.maximum(cells.mass, tiny)
+    share = matched / np.maximum(mass, tiny)
     small = reduced(picture, points.shape)
     guide, fine = reduced(small, grid.shape).astype(float), small.astype(float)
-    values = cells.values
     if figure:
-        weights = cells.matched / max(float(cells.matched.max()), tiny)
+        weights = matched / max(float(matched.max()), tiny)
     else:
         there = canvases[1 - end].reduced(CELLS)
         others = sampled(reduced(other, there.shape), there.places(grid.positions()))
@@ -157,7 +152,8 @@ def field_of(
         values[..., 2:] *= 1.0 - lonely
         values[..., 2:] += RECOLORED * lonely * (others - guide)
         weights = np.minimum(share, 1.0) ** 2 + LONELY
-    if labels is not None:
+    if particles.labels is not None:
+        labels = particles.labels[end].reshape(measures[end].shape)
         guide, fine = (
             np.dstack((colored, LABEL_STEP * _nearest(labels, colored.shape[:2])))
             for colored in (guide, fine)

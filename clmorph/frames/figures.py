@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clmorph._shared.typing import Array, BoolArray
 from clmorph.frames.ends import End
 from clmorph.frames.resampling import Float32
+from clmorph.images.color import to_space
 from clmorph.images.flat_colors import LEVEL, foreground, shares_in_mixtures
 from clmorph.measures.measure import Measure
 
@@ -155,14 +156,30 @@ def _covered(colors: Array, figure: Array, ground: Array) -> Array:
     return np.where(lies_between, share, 0.0)
 
 
+def mixed_ground(
+    shares: Sequence[float], grounds: Sequence[tuple[Array, float]], space: str
+) -> tuple[Array, float]:
+    """Return color, in a space, and opacity of the mean of grounds, sRGB and opacity, by shares."""
+    colors, alphas = zip(*grounds, strict=True)
+    parts = np.array(shares) * alphas
+    alpha = float(parts.sum())
+    if alpha == 0:
+        return np.zeros(3), 0.0
+    return parts @ to_space(np.array(colors), space) / alpha, alpha
+
+
 def beyond(image: NDArray[_Real], pure: BoolArray) -> NDArray[_Real]:
     """Return an image (H, W, C) whose figure is continued over its edge and over the ground."""
     return image if pure.all() else image[nearest(pure)]
 
 
-def nearest(pure: BoolArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def nearest(
+    pure: BoolArray, pitch: Sequence[float] | None = None
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Return the row and the column of the nearest pixel that belongs to a figure, (H, W) each."""
     from scipy.ndimage import distance_transform_edt
 
-    rows, columns = distance_transform_edt(~pure, return_distances=False, return_indices=True)
+    rows, columns = distance_transform_edt(
+        ~pure, sampling=pitch, return_distances=False, return_indices=True
+    )
     return rows, columns

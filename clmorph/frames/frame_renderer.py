@@ -1,6 +1,7 @@
 """Render the frames of one morph, on one device or several: colors, opacity, and exact ends."""
 
 from collections.abc import Generator, Sequence
+from copy import copy
 from functools import cached_property
 from typing import Any
 
@@ -13,13 +14,7 @@ from clmorph.backends.multi_device import members_of, turns
 from clmorph.backends.threads import results_in_order
 from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.cells import Cells, cells_of_plan
-from clmorph.frames.endpoints import (
-    EndCorrection,
-    Lacking,
-    brief_share,
-    ladder,
-    make_details,
-)
+from clmorph.frames.endpoints import EndCorrection, Lacking, brief_share, ladder, make_details
 from clmorph.frames.ends import ends_of
 from clmorph.frames.growth import take_after
 from clmorph.frames.kernel_width import KernelWidth
@@ -67,7 +62,7 @@ class FrameRenderer:
     ) -> None:
         #: The renderer on another device, whose data on the host this one uses.
         self._like: FrameRenderer | None = None
-        self._measures, self._plan, self._given = (source, target), plan, particles
+        self._measures, self._plan = (source, target), plan
         opaque = source.alpha is None and target.alpha is None
         if detail == "particles" and endpoints == "exact" and opaque:
             particles = with_ground(particles, source, target)
@@ -75,20 +70,17 @@ class FrameRenderer:
         self._kernel_width, self._endpoints, self._unmatched = kernel_width, endpoints, unmatched
         #: The backend that renders the frames, and what draws them, see `options.Detail`.
         self.operations, self.detail = operations, detail
-        self._pictures, self._ends = pictures, ends_of((source, target), pictures)
+        self._ends = ends_of((source, target), pictures)
         #: Time and opacity of the frame that was rendered last.
         self._last_opacity: tuple[float, Array] | None = None
 
     def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
-        """Return a renderer of the same morph on another device.
+        """Return this renderer, which has drawn nothing yet, for another device.
 
         The correction of the ends and the motion of the details come from `like`, or from itself.
         """
-        other = FrameRenderer(
-            *self._measures, self._plan, self._given, self._kernel_width, operations,
-            self._endpoints, self._unmatched, self.detail, self._pictures,
-        )  # fmt: skip
-        other._like = like
+        other = copy(self)
+        other.operations, other._like = operations, like
         return other
 
     def prepare(self) -> None:
@@ -109,12 +101,9 @@ class FrameRenderer:
             self._correction.correct(picture, t)
         return picture
 
-    def sums(self, t: float, widths: Widths | None = None, canvas: Canvas | None = None) -> Sums:
-        """Render colors, coverage and density without the correction of the ends.
-
-        `widths` and `canvas` replace those of the morph at time t.
-        """
-        canvas = canvas or self.canvas(t)
+    def sums(self, t: float, widths: Widths | None = None) -> Sums:
+        """Render colors, coverage and density without the correction of the ends."""
+        canvas = self.canvas(t)
         widths = widths or self._kernel_width.widths(t, canvas)
         # Holes are not filled where the frame is invisible.
         fill = True if self._alpha_particles is None else self._opacity(t) > UNSEEN
@@ -173,9 +162,8 @@ class FrameRenderer:
         if self._like is not None:
             moving = self._like._moving
             return None if moving is None else moving.on(self.operations)
-        canvases = self.canvas(0.0), self.canvas(1.0)
         if self.detail == "layers":
-            return Layers(self._ends, self._measures, self._particles, canvases, self.operations)
+            return Layers(self._ends, self._measures, self._particles, self.operations)
         if self.detail == "pixels":
             return Sprites(self._measures, self._particles, self.operations)
         if self.detail == "cells":
@@ -187,6 +175,7 @@ class FrameRenderer:
                 for end in self._ends
             ]
             paths = cells_of_plan(*self._measures, self._plan, MOSAIC)
+            canvases = [end.canvas for end in self._ends]
             return Cells(paths, pictures, canvases, self.operations)
         return None
 

@@ -8,6 +8,7 @@ does travel comes from, and likewise ends where it goes.
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
+from clmorph.frames.figures import nearest
 from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
@@ -20,10 +21,7 @@ TRAVELS = 0.5
 def mean_destinations(
     source: Measure, target: Measure, plan: Plan | Barycentric
 ) -> tuple[Array, Array]:
-    """Return mean destinations of source pixels, (N, 2), and mean origins of target pixels, (M, 2).
-
-    They are positions in the common frame.
-    """
+    """Return mean destinations of source pixels, (N, 2), and origins of target pixels, (M, 2)."""
     if isinstance(plan, Plan):
         return plan.mean_destinations(source.positions, target.positions)
     # The mean origin of a target pixel is not known, so what is born there rests.
@@ -54,8 +52,6 @@ def take_after(values: Array, links: IntArray, known: int) -> None:
 
 def _nearest_end(measure: Measure, moved: Array, ends: Array) -> Array:
     """Return, for each pixel, the end of the nearest pixel that travels: (N, 2) array."""
-    from scipy.ndimage import distance_transform_edt
-
     share = np.divide(moved, measure.weights, out=np.zeros_like(moved), where=measure.weights > 0)
     most = min(1.0, float(share.max()))
     if most == 0:
@@ -66,7 +62,5 @@ def _nearest_end(measure: Measure, moved: Array, ends: Array) -> Array:
         span / (side - 1) if side > 1 else 1.0
         for span, side in zip(corners, measure.shape, strict=True)
     ]
-    rows, columns = distance_transform_edt(
-        ~travels, sampling=pitch, return_distances=False, return_indices=True
-    )
+    rows, columns = nearest(travels, pitch)
     return np.asarray(ends[(rows * measure.shape[1] + columns).ravel()])

@@ -29,7 +29,7 @@ from clmorph.frames.fields import Field, affine, field_of, layer_of
 from clmorph.frames.figures import figures_of
 from clmorph.frames.outline import thinness
 from clmorph.frames.particles import Particles
-from clmorph.frames.pictures import MET, Pictures, lightness_of
+from clmorph.frames.pictures import MET, Pictures
 from clmorph.frames.registration import PATH_ROUNDS, STEPS, Scene
 from clmorph.frames.resampling import Float32, reduced
 from clmorph.frames.switching import switched, switching_times
@@ -55,34 +55,23 @@ class Layers:
         ends: tuple[End, End],
         measures: tuple[Measure, Measure],
         particles: Particles,
-        canvases: tuple[Canvas, Canvas],
         operations: Operations,
         *,
         outlined: bool = True,
     ) -> None:
-        space = particles.path_space
         self._operations = operations
         figures = figures_of(measures, ends) if outlined else None
-        self._pictures = pictures = Pictures(ends, canvases, figures, space, operations)
+        pictures = Pictures(ends, figures, particles.path_space, operations)
+        self._pictures = pictures
         self.stage = pictures.stage
-        sizes = len(measures[0]), len(measures[1])
-        labels = particles.labels
-        (first, second), cells = pictures.continued, pictures.cells
-        colors = (first, cells[1]), (cells[0], second)
         fields = [
             field_of(
-                particles, number, sizes, colors[number], canvases, operations,
-                None if labels is None else labels[number].reshape(measure.shape),
-                figure=figures is not None,
+                particles, end, measures, pictures.continued[end], pictures.cells[1 - end],
+                pictures.canvases, operations, figure=figures is not None,
             )
-            for number, measure in enumerate(measures)
+            for end in (0, 1)
         ]  # fmt: skip
-        shapes = [field.canvas.shape for field in fields]
-        lightness = lightness_of(space)
-        scene = Scene(
-            fields, pictures.own, pictures.continued, pictures.outlines(shapes), lightness,
-            self.stage, operations,
-        )  # fmt: skip
+        scene = Scene(fields, pictures, operations)
         if figures is not None:
             scene.meet_outlines()
         self.agreement = scene.meet_details()
@@ -107,7 +96,7 @@ class Layers:
                 self.agreement = self.agreement * np.exp(-((change / EQUAL) ** 2))
         self.times = switching_times(
             [half.colors for half in halves],
-            lightness,
+            pictures.lightness,
             self.stage,
             operations,
             shared=shared,
@@ -157,11 +146,6 @@ class Moment(NamedTuple):
     agreement: Array
     times: Array
 
-    @classmethod
-    def of(cls, layers: Layers) -> Moment:
-        """Return what the layers of a pair of frames say."""
-        return cls(tuple(layers.fields), layers.agreement, layers.times)
-
     def towards(self, other: Moment, share: float) -> Moment:
         """Return the moment at a share, from 0 to 1, of the time to another one."""
 
@@ -182,7 +166,7 @@ class Moment(NamedTuple):
     ) -> NDArray[np.floating]:  # fmt: skip
         """Draw two opaque pictures, (H, W, 3) each, on a canvas at the time t of their film."""
         ends = [End(picture, None, extent) for picture in pictures]
-        drawn = Pictures(ends, (canvas, canvas), None, space, operations)
+        drawn = Pictures(ends, None, space, operations)
         layers = [
             layer_of(
                 field._replace(guide=reduced(own, field.canvas.shape)),

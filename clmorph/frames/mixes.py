@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
-from clmorph.frames.canvas import Canvas, canvas_at
+from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
 from clmorph.frames.fields import Field, Layer, layer_of, sampled
 from clmorph.frames.figures import figures_of
@@ -20,8 +20,6 @@ from clmorph.frames.layers import Layers, follow
 from clmorph.frames.pictures import Pictures
 from clmorph.frames.switching import turns
 from clmorph.measures.measure import Measure
-
-Array = NDArray[np.float64]
 
 
 def mixed_canvas(pictures: Sequence[End], weights: Sequence[float]) -> Canvas:
@@ -47,13 +45,7 @@ class MixRenderer:
         operations: Operations,
     ) -> None:
         self._ends, self._layers, self._operations = ends, layers, operations
-        self._pictures = Pictures(
-            ends,
-            [canvas_at(0.0, each.shape, each.shape, each.extent) for each in ends],
-            figures_of(measures, ends),
-            path_space,
-            operations,
-        )
+        self._pictures = Pictures(ends, figures_of(measures, ends), path_space, operations)
 
     def frame(self, weights: Sequence[float]) -> NDArray[np.floating]:
         """Draw a mixture by weights of sum 1: (H, W, 3) sRGB array, or (H, W, 4) with opacity."""

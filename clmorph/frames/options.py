@@ -1,7 +1,7 @@
 """Options of the frames: kernel widths, ends, unmatched mass, colors on the way (paper, 3.3)."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from clmorph._shared.option_kinds import choice, number, number_or
 from clmorph._shared.options import Options, option
@@ -11,17 +11,14 @@ from clmorph.images.color import ColorSpace
 #: density around it; all have the width of Eq. 4; all have sigma_start at all times; or each
 #: particle is given to its nearest pixel. The last two are the paper's baselines.
 Splatting = Literal["local", "adaptive", "fixed", "none"]
-SPLATTING = get_args(Splatting)
 #: Rules whose width has the bulge gamma. Each of them, and "local", accepts sigma="optimal".
 BULGING = ("adaptive",)
 #: The rules for the first and the last frame: they are the images themselves, or the images
 #: smoothed by the kernel as in the paper.
 Endpoints = Literal["exact", "paper"]
-ENDPOINTS = get_args(Endpoints)
 #: The rules for mass that does not travel: it is drawn as it dies and is born in its place, or as
 #: it shrinks into and grows out of the nearest mass that travels; or it is left out.
 Unmatched = Literal["fade", "grow", "drop"]
-UNMATCHED = get_args(Unmatched)
 #: What draws a frame: both pictures in motion, one of which is seen at each place; their blocks,
 #: which move as wholes; whole pixels of sprites; or the particles alone, as in the paper.
 Detail = Literal["layers", "cells", "pixels", "particles"]

@@ -65,8 +65,7 @@ class Outline(NamedTuple):
         distance, edge = (
             Enlarged(image, way, canvas.shape) for image in (self.distance, self.edge)
         )
-        half, zero, one = np.float32(0.5), np.float32(0.0), np.float32(1.0)
-        return lambda rows: np.clip(half + distance.rows(rows) / edge.rows(rows), zero, one)
+        return lambda rows: np.clip(0.5 + distance.rows(rows) / edge.rows(rows), 0.0, 1.0)
 
     def reached(self, stage: Canvas) -> BoolArray:
         """Return which points of a stage stand near what is inside: no others show the figure."""

@@ -207,9 +207,9 @@ def particles(
             ends_of = grown_ends(source, target, plan)
             there = np.concatenate((ends_of[0][dies], ends_of[1][comes]))
             table = np.concatenate((table, np.column_stack((there, table[resting, 2:]))))
-        first, last = resting.copy(), others.copy()
-        first[len(dies) :], last[len(dies) :] = others[len(dies) :], resting[len(dies) :]
-        links = np.concatenate((links, np.column_stack((first, last))))
+        ends_at = np.column_stack((resting, others))
+        ends_at[len(dies) :] = ends_at[len(dies) :, ::-1].copy()
+        links = np.concatenate((links, ends_at))
         fading = np.zeros((len(resting), 2))
         fading[: len(dies), 0] = dying[dies]
         fading[len(dies) :, 1] = born[comes]

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.threads import in_order
-from clmorph._shared.typing import AnyArray, Array
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.backends.records import LayerView
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
 from clmorph.frames.fields import CELLS, POINTS, Layer, affine, blurred, led_to
-from clmorph.frames.figures import Figure, beyond
+from clmorph.frames.figures import Figure, beyond, mixed_ground
 from clmorph.frames.outline import FAR, around, bounded, outline_of, thinness
 from clmorph.frames.resampling import Enlarged, Float32, reduced
 from clmorph.images.color import PART, from_space, to_space
@@ -85,12 +85,11 @@ class Channels:
     def _uploaded(self, images: Sequence[Float32], small: Canvas) -> tuple[Any, Canvas]:
         from scipy.ndimage import spline_filter
 
-        wide = small if self._edge is None else _with_margin(small)
-        margin = (wide.shape[0] - small.shape[0]) // 2
+        wide, margin = (small, 0) if self._edge is None else _with_margin(small)
         spline = np.zeros((*wide.shape, 4), np.float32)
-        channels = (image[..., c : c + 1] for image in images for c in range(image.shape[2]))
+        channels = (image[..., c] for image in images for c in range(image.shape[2]))
         for number, channel in enumerate(channels):
-            plane = reduced(channel, small.shape)[..., 0]
+            plane = reduced(channel, small.shape)
             if number == 3 and self._edge is not None:
                 far = FAR * max(small.shape) / max(*small.scale, 1e-9)
                 wider = bounded(_continued(plane, small), self._edge, far)
@@ -100,11 +99,11 @@ class Channels:
         return self._operations.upload_spline(spline), wide
 
 
-def _with_margin(canvas: Canvas) -> Canvas:
-    """Return a canvas with a margin on all sides."""
+def _with_margin(canvas: Canvas) -> tuple[Canvas, int]:
+    """Return a canvas with a margin on all sides, and the margin in pixels."""
     margin = round(MARGIN * max(canvas.shape))
     height, width = canvas.shape
-    return Canvas((height + 2 * margin, width + 2 * margin), canvas.scale)
+    return Canvas((height + 2 * margin, width + 2 * margin), canvas.scale), margin
 
 
 def _continued(distance: Float32, canvas: Canvas) -> Float32:
@@ -114,11 +113,10 @@ def _continued(distance: Float32, canvas: Canvas) -> Float32:
     """
     from scipy.ndimage import distance_transform_edt
 
-    few, wide = canvas.reduced(MARGIN_PIXELS), _with_margin(canvas)
-    margin = (wide.shape[0] - canvas.shape[0]) // 2
+    few, (wide, margin) = canvas.reduced(MARGIN_PIXELS), _with_margin(canvas)
     if few.shape != canvas.shape:
-        coarse = _continued(reduced(distance[..., None], few.shape)[..., 0], few)
-        wider = Enlarged(coarse, affine(wide, _with_margin(few)), wide.shape).rows()
+        coarse = _continued(reduced(distance, few.shape), few)
+        wider = Enlarged(coarse, affine(wide, _with_margin(few)[0]), wide.shape).rows()
         wider[margin:-margin, margin:-margin] = distance
         return wider
     pixel = 1 / max(*canvas.scale, 1e-9)
@@ -146,11 +144,6 @@ def stage_of(canvases: Sequence[Canvas]) -> Canvas:
     return Canvas((height, width), (per_unit, per_unit))
 
 
-def lightness_of(space: str) -> Array:
-    """Return the weights of a color's coordinates in its lightness."""
-    return np.array([0.3, 0.59, 0.11] if space in ("srgb", "linear") else [1.0, 0.0, 0.0])
-
-
 class Pictures:
     """The pictures of a film or of mixes: what layers sample, and how a frame is put together.
 
@@ -161,19 +154,23 @@ class Pictures:
     def __init__(
         self,
         ends: Sequence[End],
-        canvases: Sequence[Canvas],
         figures: Sequence[Figure] | None,
         space: str,
         operations: Operations,
     ) -> None:
-        self._space, self._operations, self.canvases = space, operations, list(canvases)
+        self._space, self._operations = space, operations
+        self.canvases = [end.canvas for end in ends]
         self._ends, self.figures = ends, figures
         self._areas = [figure.area for figure in figures or ()]
         #: How far outlines on the way are smoothed, from 0 to 1: not at all where they coincide.
         self.smoothing = 1.0
+        #: Weights of a color's coordinates in its lightness.
+        self.lightness = np.array(
+            [0.3, 0.59, 0.11] if space in ("srgb", "linear") else [1.0, 0.0, 0.0]
+        )
         #: Whether frames have opacity.
         self.clear = any(end.alpha is not None for end in ends)
-        self.stage = stage_of(canvases)
+        self.stage = stage_of(self.canvases)
         self._per_unit = max(*self.stage.scale, 1e-9)
         self._upload()
 
@@ -225,16 +222,6 @@ class Pictures:
         other._upload()
         return other
 
-    def outlines(self, shapes: Sequence[tuple[int, int]]) -> list[Array] | None:
-        """Return the signed distances from the figures' outlines, in the common frame."""
-        if self.figures is None:
-            return None
-        return [
-            reduced(figure.distance[..., None], shape)[..., 0].astype(float)
-            / max(*canvas.scale, 1e-9)
-            for figure, canvas, shape in zip(self.figures, self.canvases, shapes, strict=True)
-        ]
-
     def frame(
         self,
         layers: Sequence[Layer],
@@ -269,7 +256,7 @@ class Pictures:
 
         def distance_on(on: Canvas) -> Float32:
             found = np.empty(on.shape, np.float32)
-            for rows in _bands(on):
+            for rows in _bands(on.shape):
                 found[rows] = drawn("figure", covered, lines, on, rows=rows)[..., 3]
             return found
 
@@ -300,9 +287,11 @@ class Pictures:
         there = [share * around(seen > 0.0) for share in even]
         translucent = "alpha" in self._channels
         on_canvas = Enlarged(seen.astype(np.float32), affine(canvas, self.stage), canvas.shape)
-        lies_inside, ground = outline.on(canvas), self._ground(shares)
+        lies_inside = outline.on(canvas)
+        grounds = [(each.ground, each.ground_alpha) for each in self.figures]
+        ground = mixed_ground(shares, grounds, self._space)
         frame = np.empty((*canvas.shape, 4 if self.clear else 3), np.float32)
-        for rows in _bands(canvas):
+        for rows in _bands(canvas.shape):
             figure = self._drawn(led, ways, "figure", within, none, canvas, rows=rows)
             own = drawn("own", there, there, canvas, rows=rows) if seen.any() else None
             opacity = (
@@ -352,12 +341,7 @@ class Pictures:
             if self.clear:
                 frame[here, columns, 3:] = np.clip(whole, 0.0, 1.0)
 
-        height, width = rows.stop - rows.start, frame.shape[1]
-        together = max(1, PART // width)
-        parts = (
-            slice(first, min(first + together, height)) for first in range(0, height, together)
-        )
-        for _ in in_order(put, parts):
+        for _ in in_order(put, _bands((rows.stop - rows.start, frame.shape[1]), PART)):
             pass
 
     def _distances(self, layers: Sequence[Layer], ways: Sequence[float]) -> list[Array]:
@@ -414,30 +398,19 @@ class Pictures:
         )
         return reduce(np.add, drawn)
 
-    def _ground(self, shares: Sequence[float]) -> tuple[Array, float]:
-        """Return color, in the space of the path, and opacity of the ground of a frame."""
-        assert self.figures is not None
-        parts = np.array(shares) * [figure.ground_alpha for figure in self.figures]
-        alpha = float(parts.sum())
-        if alpha == 0:
-            return np.zeros(3), 0.0
-        colors = to_space(np.array([figure.ground for figure in self.figures]), self._space)
-        return parts @ colors / alpha, alpha
-
 
 def _in_space(colors: NDArray[np.floating], space: str) -> Float32:
     """Return sRGB colors (H, W, 3) in the space of a path, some rows at a time."""
     found = np.empty(colors.shape, np.float32)
-    for rows in _bands(colors):
+    for rows in _bands(colors.shape):
         found[rows] = to_space(colors[rows], space)
     return found
 
 
-def _bands(over: Canvas | AnyArray) -> list[slice]:
-    """Return the rows of a canvas, or of a picture, in parts that take little memory."""
-    height, width = over.shape[:2]
-    together = max(1, BAND // width)
-    return [slice(row, min(row + together, height)) for row in range(0, height, together)]
+def _bands(shape: tuple[int, ...], most: int = BAND) -> list[slice]:
+    """Return the rows of a picture in parts of a few pixels, which take little memory."""
+    together = max(1, most // shape[1])
+    return [slice(row, min(row + together, shape[0])) for row in range(0, shape[0], together)]
 
 
 def _where_covered(

@@ -19,6 +19,8 @@ from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.fields import Field, affine, blurred, sampled
+from clmorph.frames.pictures import Pictures
+from clmorph.frames.resampling import reduced
 
 #: Steps of a whole path, and rounds of each.
 STEPS, PATH_ROUNDS = 48, 4
@@ -86,31 +88,25 @@ class Shown(NamedTuple):
 
 
 class Scene:
-    """Both pictures and their fields, which can be drawn at t = 1/2.
+    """The pictures of a morph and their fields, which can be drawn at t = 1/2 and meet there."""
 
-    `colors` are the pictures on the grids of the fields, (h, w, 3), in the space of the path;
-    `continued` are these, with the colors of figures continued over the ground. `outlines`, (h, w),
-    are the signed distance to the edge of each picture's figure, in the common frame; None if all
-    pixels belong to the pictures. `lightness`, (3,), are the weights of the coordinates of a color
-    in its lightness, and `stage` is the grid on which both are compared.
-    """
-
-    def __init__(
-        self,
-        fields: Sequence[Field],
-        colors: Sequence[Array],
-        continued: Sequence[Array],
-        outlines: Sequence[Array] | None,
-        lightness: Array,
-        stage: Canvas,
-        operations: Operations,
-    ) -> None:
-        self.fields, self._figures = list(fields), outlines is not None
-        if outlines is None:
-            outlines = [np.zeros(image.shape[:2]) for image in colors]
-        self._images = [np.dstack(each) for each in zip(colors, continued, outlines, strict=True)]
-        self.stage, self._operations, self._lightness = stage, operations, lightness
-        self._whole = stage
+    def __init__(self, fields: Sequence[Field], pictures: Pictures, operations: Operations) -> None:
+        self.fields, self._figures = list(fields), pictures.figures is not None
+        shapes = [field.canvas.shape for field in fields]
+        # Signed distances from the edges of figures, in the common frame.
+        outlines = [np.zeros(shape) for shape in shapes]
+        if pictures.figures is not None:
+            outlines = [
+                reduced(figure.distance, shape).astype(float) / max(*canvas.scale, 1e-9)
+                for figure, canvas, shape in zip(
+                    pictures.figures, pictures.canvases, shapes, strict=True
+                )
+            ]
+        self._images = [
+            np.dstack(each) for each in zip(pictures.own, pictures.continued, outlines, strict=True)
+        ]
+        self._operations, self._lightness = operations, pictures.lightness
+        self.stage = self._whole = pictures.stage
         self._given = list(fields)
 
     def halves(self) -> list[Shown]:

@@ -91,8 +91,7 @@ def render(
     A pixel whose coverage is at least `HOLE_COVERAGE` has the kernel's mean as its color.
     If torn pixels are closed, its coverage must also be at least `CLOSED_SHARE` of the coverage
     around it. Below half of these thresholds wider kernels determine its color, and in between the
-    color is a mixture of both. So neither rounding nor pairs that a plan has dropped can switch a
-    pixel from one color to another.
+    color is a mixture of both.
 
     `mass` is the particles' total at time t. Without a kernel, pixels without a particle are 0;
     with a kernel, holes are filled by wider kernels, everywhere or where `fill` is true.
@@ -110,7 +109,7 @@ def render(
     density = denominator / kernel_sum(sigma)
     sums = np.dstack((colors, density)) * (1.0 - filling.wanted)[..., None]
     own, width = np.dstack((colors, density)), sigma
-    while sigma > 0 and width < max(canvas.shape) and filling.missing > UNSEEN:
+    while sigma > 0 and width < max(canvas.shape) and filling.left.max() > UNSEEN:
         width *= WIDENING
         wider_numerator, wider = operations.splat(splats, canvas.shape, width, CUT * width)
         share = wider / uniform_density(mass, canvas, width)
@@ -206,11 +205,6 @@ class Filling:
         """Share of each pixel that is still to be filled: (H, W) array."""
         return self.wanted - self.given
 
-    @property
-    def missing(self) -> float:
-        """The largest share that is still to be filled."""
-        return float(self.left.max())
-
     def _openness(self, own: Array, around: Array) -> Array:
         """Return the degree to which pixels are holes: 0 at the threshold, 1 at `OPEN` times it."""
         needed: Array | float = HOLE_COVERAGE
@@ -249,10 +243,7 @@ class Filling:
 
 
 def is_torn(coverage: Array) -> BoolArray:
-    """Return which pixels are holes: far less covered than their surroundings, or empty.
-
-    Coverage, (H, W), is the kernel mass as a share of that of a uniform spread.
-    """
+    """Return which pixels are holes: far less covered than their surroundings, or empty."""
     return (coverage < HOLE_SHARE * surroundings(coverage)) | (coverage < HOLE_COVERAGE)
 
 

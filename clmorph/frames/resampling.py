@@ -14,14 +14,14 @@ _Real = TypeVar("_Real", np.float32, np.float64)
 
 
 def reduced(image: NDArray[_Real], shape: tuple[int, ...]) -> NDArray[_Real]:
-    """Return an image, (H, W, C), with fewer pixels, each the mean of the area that it covers."""
+    """Return an image (H, W) or (H, W, C) with fewer pixels, each the mean of its area."""
     if image.shape[:2] == shape:
         return image
     height, width = image.shape[:2]
     down, along = (_areas(many, few) for many, few in zip((height, width), shape, strict=True))
     rows = down.astype(image.dtype) @ image.reshape(height, -1)
     rows = rows.reshape(shape[0], width, -1).swapaxes(0, 1).reshape(width, -1)
-    small = (along.astype(image.dtype) @ rows).reshape(shape[1], shape[0], -1)
+    small = (along.astype(image.dtype) @ rows).reshape(shape[1], shape[0], *image.shape[2:])
     return np.ascontiguousarray(small.swapaxes(0, 1))
 
 

@@ -1,19 +1,20 @@
 """The frames of a morph and its transport, as files, pages and measures of quality use them."""
 
 from abc import abstractmethod
-from collections.abc import Generator, Mapping, Sequence
-from typing import Any, ClassVar, overload
+from collections.abc import Generator, Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.items import Items
 from clmorph._shared.typing import Array
-from clmorph._shared.validation import check_integer, shown
+from clmorph._shared.validation import check_integer, check_number, shown
 from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
-from clmorph.frames.render import Sums, Widths
+from clmorph.frames.render import Sums, Widths, check_widths
 from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
@@ -22,12 +23,8 @@ from clmorph.transport.potentials import Potentials
 Frame = NDArray[np.float32]
 
 
-class FrameSequence(Sequence[Frame]):
-    """Frames at given times, with the transport that they come from.
-
-    The object is a sequence: ``len(frames)``, ``frames[i]``, ``frames[i:j]`` and iteration refer to
-    the frames at `times`. The method `frame` renders one at any time.
-    """
+class FrameSequence(Items[Frame]):
+    """The frames at `times`, drawn when they are asked for, and the transport behind them."""
 
     source: Measure
     target: Measure
@@ -43,6 +40,11 @@ class FrameSequence(Sequence[Frame]):
     unmatched: str
     #: The options of the morph, including those of playback and of files.
     options: Any
+    #: Shapes (height, width) of the images as they were given; None if frames have these.
+    shapes: tuple[tuple[int, int], tuple[int, int]] | None = None
+
+    #: What draws them, such as a `clmorph.frames.frame_renderer.FrameRenderer`.
+    _renderer: Any
 
     #: What such frames are, in a word.
     kind: ClassVar[str] = "Morph"
@@ -64,21 +66,64 @@ class FrameSequence(Sequence[Frame]):
     def given_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """Shapes (height, width) of the images as they were given, in whose pixels landmarks are.
 
-        They are those of `source` and `target` if the images were not reduced.
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> image = np.eye(12)
+        >>> morph = clmorph.morph(image, image, size=6, n_frames=2, backend="numpy")
+        >>> morph.given_shapes, morph.source.shape
+        (((12, 12), (12, 12)), (6, 6))
         """
-        return self.source.shape, self.target.shape
+        return self.shapes or (self.canvas(0.0).shape, self.canvas(1.0).shape)
 
-    @abstractmethod
     def canvas(self, t: float) -> Canvas:
-        """Return the canvas at time t."""
+        """Return the canvas at time t.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> morph.canvas(0.5).shape
+        (6, 6)
+        """
+        canvas: Canvas = self._renderer.canvas(check_number("t", t, 0.0, 1.0))
+        return canvas
+
+    def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
+        """Render colors, coverage and density at time t as splats, without exact ends.
+
+        Parameters
+        ----------
+        t : float in [0, 1]
+        widths : Widths, optional
+            Kernel widths, in place of those of the frames.
+
+        Returns
+        -------
+        Sums
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> sums = morph.sums(0.5)
+        >>> sums.colors.shape, sums.coverage.shape, sums.density.shape
+        ((6, 6, 3), (6, 6), (6, 6))
+        """
+        t = check_number("t", t, 0.0, 1.0)
+        sums: Sums = self._renderer.sums(t, check_widths(widths))
+        return sums
 
     @abstractmethod
     def frame(self, t: float) -> Frame:
         """Render the frame at time t: (H(t), W(t), 3) or (H(t), W(t), 4) array."""
-
-    @abstractmethod
-    def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
-        """Render colors, coverage and density at time t."""
 
     @property
     @abstractmethod
@@ -93,18 +138,13 @@ class FrameSequence(Sequence[Frame]):
     def __len__(self) -> int:
         return len(self.times)
 
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | list[Frame]:
-        """Return the frame at ``times[index]``, or a list of frames for a slice."""
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def _item(self, index: int) -> Frame:
         return self.frame(float(self.times[index]))
 
     def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:
         """Render the frames one by one, without keeping them.
+
+        Several devices work at once. Frames that `Morph.frames` has cached are not rendered again.
 
         Parameters
         ----------
@@ -121,7 +161,9 @@ class FrameSequence(Sequence[Frame]):
         >>> [frame.shape for frame in morph.iter_frames()]
         [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
         """
-        first = check_integer("first", first, 0, len(self))
+        return self._frames_from(check_integer("first", first, 0, len(self)))
+
+    def _frames_from(self, first: int) -> Generator[Frame, None, None]:
         return (self[index] for index in range(first, len(self)))
 
 

@@ -20,9 +20,9 @@ import numpy as np
 from clmorph._shared.typing import Array, BoolArray, IntArray
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
-from clmorph.backends.numpy.handles import Splats
 from clmorph.frames.canvas import Canvas
-from clmorph.frames.figures import nearest
+from clmorph.frames.ends import End
+from clmorph.frames.figures import mixed_ground, nearest
 from clmorph.frames.growth import take_after
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import CUT, kernel_mean, kernel_sum
@@ -58,10 +58,7 @@ class Sprites:
     """The parts of a morph between flat images."""
 
     def __init__(
-        self,
-        measures: tuple[Measure, Measure],
-        particles: Particles,
-        operations: Operations,
+        self, measures: tuple[Measure, Measure], particles: Particles, operations: Operations
     ) -> None:
         self._space = particles.path_space
         self._sides = [_side(measure) for measure in measures]
@@ -70,17 +67,15 @@ class Sprites:
         self._translucent = any(
             side.regions.alpha[side.inside].min() < OPAQUE for side in self._sides
         )
-        colors, alphas = (
-            np.concatenate([each.reshape(-1, count) for each in of_sides])
-            for count, of_sides in (
-                (3, [to_space(side.regions.colors, self._space) for side in self._sides]),
-                (1, [side.regions.alpha for side in self._sides]),
-            )
+        regions = [side.regions for side in self._sides]
+        colors = np.concatenate(
+            [to_space(each.colors, self._space).reshape(-1, 3) for each in regions]
         )
+        alphas = np.concatenate([each.alpha.ravel() for each in regions])
         flat, opacity = particles.table.copy(), particles.table.copy()
         flat[: len(colors), 2:5] = colors
         opacity[:, 2:5] = 0.0
-        opacity[: len(alphas), 2] = alphas[:, 0]
+        opacity[: len(alphas), 2] = alphas
         known = len(flat) - particles.n_grown
         # Mean destinations between pixels have the mean opacity of the target.
         target = self._sides[1]
@@ -105,7 +100,9 @@ class Sprites:
         opaque = _inside(density, area)[..., None]
         if self._translucent:
             opaque = opaque * self._opacity(t, canvas)[..., None]
-        ground, alpha = self._ground(t)
+        grounds = [(side.ground, side.ground_alpha) for side in self._sides]
+        ground, alpha = mixed_ground((1 - t, t), grounds, self._space)
+        ground = from_space(ground, self._space)
         if not self.clear:
             return np.asarray(opaque * colors + (1 - opaque) * ground)
         behind = (1 - opaque) * alpha
@@ -151,32 +148,19 @@ class Sprites:
         ((mean, density),) = self._opacities.drawn(t, canvas, WIDTH)
         return np.clip(mean[..., 0][nearest(density > 0)], 0.0, 1.0)
 
-    def _ground(self, t: float) -> tuple[Array, float]:
-        """Return color and opacity of the background at time t."""
-        share = np.array([(1 - t), t]) * [side.ground_alpha for side in self._sides]
-        alpha = float(share.sum())
-        if alpha == 0:
-            return np.zeros(3), 0.0
-        colors = to_space(np.array([side.ground for side in self._sides]), self._space)
-        return from_space(share @ colors / alpha, self._space), alpha
-
 
 def _side(measure: Measure) -> _Side:
     """Divide an image into background and regions."""
-    colors = measure.colors.reshape(*measure.shape, 3)
-    inside = (measure.weights > 0).reshape(measure.shape)
-    alpha = np.ones(measure.shape)
-    if measure.alpha is not None:
-        alpha = measure.alpha.reshape(measure.shape)
+    end, inside = End.of(measure), (measure.weights > 0).reshape(measure.shape)
+    alpha = np.ones(end.shape) if end.alpha is None else end.alpha
+    if end.alpha is not None:
         # A pixel of an edge belongs to the shape if it is mostly opaque.
-        solid = inside & foreground(colors, alpha)
+        solid = inside & foreground(end.colors, alpha)
         inside = solid if solid.any() else inside
-    regions = flat_regions(colors, alpha, inside, COLORS)
-    if inside.all():
+    regions = flat_regions(end.colors, alpha, inside, COLORS)
+    if inside.all() or end.alpha is not None:
         return _Side(inside, regions, np.zeros(3), 0.0)
-    clear = measure.alpha is not None
-    ground = np.zeros(3) if clear else np.median(colors[~inside], axis=0)
-    return _Side(inside, regions, ground, 0.0 if clear else 1.0)
+    return _Side(inside, regions, np.median(end.colors[~inside], axis=0), 1.0)
 
 
 def _inside(density: Array, area: float) -> Array:
@@ -191,11 +175,7 @@ class Parts:
     """Groups of a morph's particles, by their numbers, with ends in a `table` (P, 6)."""
 
     def __init__(
-        self,
-        operations: Operations,
-        particles: Particles,
-        table: Array,
-        groups: list[IntArray],
+        self, operations: Operations, particles: Particles, table: Array, groups: list[IntArray]
     ) -> None:
         self._operations, self._table = operations, table
         self._links, self._weights = particles.links, particles.weights
@@ -251,27 +231,16 @@ class Parts:
         for first in range(0, len(self._small), at_once):
             count = min(at_once, len(self._small) - first)
             kept = near & (group_of >= first) & (group_of < first + count)
-            down = pitch * (group_of[kept] - first)
-            sums = self._sums(splats, kept, down, (count * pitch, width), sigma)
+            shape = count * pitch, width
+            sums = np.zeros((*shape, 3)), np.zeros(shape)
+            if kept.any():
+                positions = splats.positions[kept]
+                positions[:, 1] += pitch * (group_of[kept] - first)
+                handle = self._operations.upload_splats(
+                    positions.astype(np.float32),
+                    splats.colors[kept].astype(np.float32),
+                    splats.weights[kept].astype(np.float32),
+                )
+                sums = self._operations.splat(handle, shape, sigma, CUT * sigma)
             for row in range(0, count * pitch, pitch):
                 yield sums[0][row : row + height], sums[1][row : row + height]
-
-    def _sums(
-        self,
-        splats: Splats,
-        kept: BoolArray,
-        down: IntArray,
-        shape: tuple[int, int],
-        sigma: float,
-    ) -> tuple[Array, Array]:
-        """Return the sums of some splats, moved down by some pixels."""
-        if not kept.any():
-            return np.zeros((*shape, 3)), np.zeros(shape)
-        positions = splats.positions[kept]
-        positions[:, 1] += down
-        handle = self._operations.upload_splats(
-            positions.astype(np.float32),
-            splats.colors[kept].astype(np.float32),
-            splats.weights[kept].astype(np.float32),
-        )
-        return self._operations.splat(handle, shape, sigma, CUT * sigma)

@@ -41,7 +41,6 @@ def switching_times(
     lightness: Array,
     stage: Canvas,
     operations: Operations,
-    seed: int = 0,
     shared: Array | None = None,
     thin: Array | None = None,
 ) -> Array:
@@ -58,7 +57,7 @@ def switching_times(
     unlike = np.linalg.norm(first - second, axis=2)
     # The same disorder at all sizes, so that a preview shows what the film will.
     shape = [max(1, round(NOISE_POINTS * side / longest)) for side in stage.shape]
-    noise = np.random.default_rng(seed).standard_normal((*shape, 1))
+    noise = np.random.default_rng(0).standard_normal((*shape, 1))
     noise = enlarged(blurred(noise, DISORDER * NOISE_POINTS), stage.shape)[..., 0]
     around = blurred(unlike * shared, REGION * longest) / blurred(shared, REGION * longest)
     order = _standard(around, shared) + STRENGTH * _standard(noise, shared)
@@ -66,7 +65,7 @@ def switching_times(
     fine = np.concatenate(list(halves), axis=2)
     guide = reduced(fine, cells.shape).astype(np.float32)
     found = reduced(order[..., None], cells.shape)
-    known = reduced(shared[..., None], cells.shape)[..., 0].astype(np.float32)
+    known = reduced(shared, cells.shape).astype(np.float32)
     for _ in range(ROUNDS):
         found = operations.edge_preserving_mean(
             found.astype(np.float32), known, guide, guide, SIGMA, BOTH * LIKE_CELLS
@@ -104,10 +103,7 @@ def _standard(values: Array, weights: Array) -> Array:
 
 
 def switched(times: Array, agreement: Array, t: float) -> Array:
-    """Return the weight of the second picture at time t: (H, W) array.
-
-    Where both pictures agree, both are seen all the time, as a warp.
-    """
+    """Return the weight of the second picture at time t, as `turns` does: (H, W) array."""
     return turns(times, agreement, (1 - t, t))[1]
 
 

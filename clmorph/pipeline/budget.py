@@ -3,8 +3,7 @@
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +14,10 @@ from clmorph.backends.records import PlanTerms
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError, MemoryWarning, PruningWarning
 from clmorph.images.label_maps import label_text
-from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
 from clmorph.pipeline.memory import Memory, estimate, most_particles
+from clmorph.pipeline.options import MorphOptions
 from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport._solver.problem import uploaded
 from clmorph.transport.barycentric import Barycentric, barycentric_plan
@@ -46,32 +45,29 @@ def default_memory(operations: Operations) -> float | None:
     return None if memory is None else MEMORY_SHARE * float(memory)
 
 
+def _memory_of(options: MorphOptions, operations: Operations) -> float | None:
+    return default_memory(operations) if options.max_memory is None else options.max_memory
+
+
 def make_plan(
     parts: Sequence[Subproblem],
     solved: Sequence[Potentials],
     operations: Operations,
-    *,
-    sample: int | None = None,
-    barycentric: bool = False,
-    seed: int = 0,
-    max_particles: int | None = None,
-    max_memory: float | None = None,
-    log_threshold: float | None = None,
+    options: MorphOptions,
 ) -> Plan | Barycentric:
     """Return the plan between pixels as requested, or, with a warning, in a form that fits."""
-    if sample is None and not barycentric:
-        way = choose_way(
-            parts, solved, operations, max_particles, max_memory, log_threshold, stacklevel=4
-        )
-        sample, barycentric = way.get("sample"), way.get("barycentric", False)
+    way: dict[str, Any] = {"sample": options.sample, "barycentric": options.barycentric}
+    if options.sample is None and not options.barycentric:
+        way = choose_way(parts, solved, operations, options, stacklevel=4)
+    sample, log_threshold = way.get("sample"), options.log_threshold
 
     def made(part: Subproblem, potentials: Potentials) -> Plan | Barycentric:
-        if barycentric:
+        if way.get("barycentric"):
             means = barycentric_plan(*part.measures, potentials, backend=operations)
             return refined(part.means_of_blocks(means), *part.blocks)
         if sample is None:
             return _pruned(part, potentials, operations, log_threshold)
-        return _sampled(part, potentials, operations, sample, seed)
+        return _sampled(part, potentials, operations, sample, options.seed)
 
     whole = joined(
         parts, [made(part, potentials) for part, potentials in zip(parts, solved, strict=True)]
@@ -131,27 +127,20 @@ def finest_pixels(source: PixelBlocks, target: PixelBlocks) -> int:
 
 
 def check_ways(
-    source: PixelBlocks,
-    target: PixelBlocks,
-    operations: Operations,
-    *,
-    sample: int | None = None,
-    barycentric: bool = False,
-    max_memory: float | None = None,
-    log_threshold: float | None = None,
+    source: PixelBlocks, target: PixelBlocks, operations: Operations, options: MorphOptions
 ) -> None:
     """Check before the solve that particles can be made in the requested form and memory."""
-    if log_threshold is not None:
-        check_reachable(log_threshold, *as_pair(source.coarse, target.coarse))
-    finest = finest_pixels(source, target)
+    if options.log_threshold is not None:
+        check_reachable(options.log_threshold, *as_pair(source.coarse, target.coarse))
+    finest, sample = finest_pixels(source, target), options.sample
     if sample is not None and sample * finest > MAX_DRAWS:
         raise InputError(
             f"sample={sample}: expected at most {MAX_DRAWS // finest} with blocks of {finest} "
             "pixels; lower it, or raise solve_size"
         )
-    limit = default_memory(operations) if max_memory is None else max_memory
-    asked = sample is not None or barycentric
-    if limit is None or (asked and max_memory is None):
+    limit = _memory_of(options, operations)
+    asked = sample is not None or options.barycentric
+    if limit is None or (asked and options.max_memory is None):
         return
     n, m = len(source.fine), len(target.fine)
     fewest = n if sample is None else int(np.dot(n_draws(sample), (n, m)))
@@ -167,10 +156,12 @@ def _need(
     source: PixelBlocks, target: PixelBlocks, particles: float, operations: Operations
 ) -> Memory:
     """Return the memory of a morph of this number of particles, drawn as takes the most."""
-    n, m = len(source.fine), len(target.fine)
+    n, m, features = len(source.fine), len(target.fine), source.fine.features
+    dimension = 5 if features is None else 5 + features.shape[1]
+    dimension = MAX_LIFTED if source.fine.has_metric_map else dimension
     return estimate(
         n + m, (len(source.coarse), len(target.coarse)), particles, operations,
-        alpha=_has_opacity(source, target), dimension=dimension_of(source.fine), frame=max(n, m),
+        alpha=_has_opacity(source, target), dimension=dimension, frame=max(n, m),
     )  # fmt: skip
 
 
@@ -178,35 +169,25 @@ def _has_opacity(source: PixelBlocks, target: PixelBlocks) -> bool:
     return any(blocks.fine.alpha is not None for blocks in (source, target))
 
 
-def dimension_of(measure: Measure) -> int:
-    """Return the number of coordinates of the cost between an image and another one."""
-    if measure.has_metric_map:
-        return MAX_LIFTED
-    return 5 + (0 if measure.features is None else measure.features.shape[1])
-
-
 def choose_way(
     parts: Sequence[Subproblem],
     solved: Sequence[Potentials],
     operations: Operations,
-    max_particles: int | None,
-    max_memory: float | None,
-    log_threshold: float | None = None,
+    options: MorphOptions,
     stacklevel: int = 2,
 ) -> dict[str, Any]:
-    """Return options of `make_plan` within both limits; {} if all pairs may be kept."""
+    """Return `sample` or `barycentric` within both limits; {} if all pairs may be kept."""
     source, target = parts[0].blocks
-    finest = finest_pixels(source, target)
-    limit = default_memory(operations) if max_memory is None else max_memory
+    finest, limit = finest_pixels(source, target), _memory_of(options, operations)
     fitting = math.inf
     if limit is not None:
         none = _need(source, target, 0, operations)
         fitting = most_particles(limit, none, _has_opacity(source, target))
-    wanted = math.inf if max_particles is None else max_particles
+    wanted = math.inf if options.max_particles is None else options.max_particles
     if finest * sum(part.pairs for part in parts) <= min(wanted, fitting):
         return {}  # even the dense plan fits
     pairs = finest * sum(
-        predict_pairs(*part.measures, each, log_threshold=log_threshold, backend=operations)
+        predict_pairs(*part.measures, each, log_threshold=options.log_threshold, backend=operations)
         for part, each in zip(parts, solved, strict=True)
     )
     points = [len(blocks.coarse) * finest for blocks in (source, target)]
@@ -249,26 +230,24 @@ def predict_pairs(
     backend: Backend = "auto",
 ) -> int:
     """Predict how many pairs `clmorph.transport_plan` keeps, from sampled rows and columns."""
-    source, target = as_pair(source, target)
-    rng = np.random.default_rng(seed)
+    pair, rng = as_pair(source, target), np.random.default_rng(seed)
     operations = get_backend(backend)
-    clouds = RowsOfPlan(operations, (source, target), potentials).clouds
-    sides = [
-        _Side(operations, cloud, measure, potential, rows, rng)
-        for cloud, measure, potential in zip(
-            clouds, (source, target), (potentials.f, potentials.g), strict=True
-        )
-    ]
     epsilon, precise = potentials.epsilon, potentials.precise
+    sides = []
+    clouds = RowsOfPlan(operations, pair, potentials).clouds
+    for cloud, measure, potential in zip(clouds, pair, (potentials.f, potentials.g), strict=True):
+        chosen, some, scale = sampled_part(measure, rows, rng)
+        part, log_weights = uploaded(operations, some), np.log(some.weights)
+        sides.append(_Side(cloud, potential, part, potential[chosen], log_weights, scale))
+
+    def kept(own: _Side, other: _Side, by_row: Array | float) -> int:
+        """Return the pairs of sampled points of one side that are above their thresholds."""
+        lowest, none = np.full(len(own.few), by_row), np.full(len(other.potential), np.inf)
+        plan = PlanTerms(own.part, other.cloud, own.few, other.potential, epsilon, lowest, none)
+        return int(operations.count_plan_rows(plan, precise).sum())
+
     if log_threshold is not None:
-        source_side, target_side = sides
-        plan = PlanTerms(
-            source_side.part, target_side.cloud, source_side.few, target_side.potential, epsilon,
-            np.full(len(source_side.few), log_threshold), np.full(target_side.size, np.inf),
-        )  # fmt: skip
-        kept = operations.count_plan_rows(plan, precise)
-        return round(source_side.scale * float(kept.sum()))
-    none = [np.full(len(side.chosen), np.inf) for side in sides]
+        return round(sides[0].scale * kept(sides[0], sides[1], log_threshold))
     thresholds = [
         operations.row_maxima(own.part, other.cloud, other.potential, epsilon)
         + own.few / epsilon
@@ -277,15 +256,10 @@ def predict_pairs(
         for own, other in (sides, sides[::-1])
     ]
     by_side = [
-        own.scale
-        * operations.count_plan_rows(
-            PlanTerms(
-                own.part, other.cloud, own.few, other.potential, epsilon, threshold,
-                np.full(other.size, np.inf),
-            ), precise,
-        ).sum()
+        own.scale * kept(own, other, threshold)
         for own, other, threshold in zip(sides, sides[::-1], thresholds, strict=True)
-    ]  # fmt: skip
+    ]
+    none = [np.full(len(side.few), np.inf) for side in sides]
     both = (thresholds[0], none[1]), (none[0], thresholds[1]), (thresholds[0], thresholds[1])
     few = sides[0].part, sides[1].part, sides[0].few, sides[1].few, epsilon
     in_rows, in_columns, either = (
@@ -296,33 +270,28 @@ def predict_pairs(
     return round(by_side[0] + by_side[1] * only_columns)
 
 
-class _Side:
-    """One measure on the device, and a sample of its points of positive mass."""
+class _Side(NamedTuple):
+    """One measure on the device with its potentials, and a sample of its points."""
 
-    def __init__(
-        self,
-        operations: Operations,
-        cloud: Any,
-        measure: AnyMeasure,
-        potential: Array,
-        count: int,
-        rng: np.random.Generator,
-    ) -> None:
-        massive = np.flatnonzero(measure.weights > 0)
-        self.chosen = np.sort(rng.choice(massive, min(count, len(massive)), replace=False))
-        self.scale = len(massive) / len(self.chosen)
-        self.size, self.potential, self.few = len(measure), potential, potential[self.chosen]
-        self.cloud, some = cloud, part_of(measure, self.chosen)
-        self.part = uploaded(operations, some)
-        self.log_weights = np.log(some.weights)
+    cloud: Any
+    potential: Array
+    part: Any
+    few: Array
+    log_weights: Array
+    #: Points of positive mass for each of the sample.
+    scale: float
 
 
-def part_of(measure: AnyMeasure, chosen: NDArray[np.intp]) -> WeightedPoints:
-    """Return the chosen points of a measure with their masses."""
-    whole = WeightedPoints(measure.points, measure.weights, measure.offsets)
-    return replace(
-        whole,
-        points=whole.points[chosen],
-        weights=whole.weights[chosen],
-        offsets=None if whole.offsets is None else whole.offsets[chosen],
+def sampled_part(
+    measure: AnyMeasure, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.intp], WeightedPoints, float]:
+    """Return points of positive mass by their numbers and as a measure, and the share's inverse."""
+    massive = np.flatnonzero(measure.weights > 0)
+    chosen = np.sort(rng.choice(massive, min(count, len(massive)), replace=False))
+    offsets = measure.offsets
+    some = WeightedPoints(
+        measure.points[chosen],
+        measure.weights[chosen],
+        None if offsets is None else offsets[chosen],
     )
+    return chosen, some, len(massive) / len(chosen)

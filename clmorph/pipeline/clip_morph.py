@@ -6,7 +6,6 @@ import itertools
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
@@ -24,7 +23,6 @@ from clmorph._shared.validation import (
     is_path,
     shown,
 )
-from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.clips.reading import Clip
 from clmorph.errors import InputError
@@ -117,50 +115,8 @@ def morph_clip(
         options = MorphOptions(**{"size": None} | named)
     else:
         options = MorphOptions.of_call(options, named, "blur=0.05")
-    film = clip_film(source, target, options, rate, every, max_pixels, backend, progress)
-    return film.frames()
-
-
-def clip_film(
-    source: Any,
-    target: Any,
-    options: MorphOptions,
-    rate: float | None,
-    every: float,
-    max_pixels: int,
-    backend: Backend,
-    progress: StageProgress | None,
-) -> ClipFilm:
-    """Return the film of `morph_clip`, after a check of its arguments."""
-    every = check_number("every", every, 0.0, LONGEST, open_low=True)
-    if options.detail != "layers":
-        raise InputError(
-            f"detail={options.detail!r} is for stills: expected 'layers' for a clip, as in the "
-            "preset 'photo'"
-        )
-    if options.endpoints == "paper" or options.sigma is not None:
-        raise InputError("endpoints='paper' and sigma are for stills: leave them out for a clip")
-    if options.landmarks == AUTO:
-        options = options.replace(landmarks=None)
-    seconds = options.duration or SECONDS
-    if seconds > LONGEST:
-        raise InputError(
-            f"duration={seconds:g}: expected at most {LONGEST:g} s for a transition, whose frames "
-            "are held in memory"
-        )
-    max_pixels = check_max_pixels(max_pixels)
-    ends = Frames("source", source, max_pixels), Frames("target", target, max_pixels)
-    if all(end.still is not None for end in ends):
-        raise InputError("source and target are stills: expected a clip; see clmorph.morph")
-    rates = [end.rate for end in ends if end.rate is not None]
-    if rate is not None:
-        rates = [Fraction(check_number("fps", rate, 0.1, 240.0)).limit_denominator(1001)]
-    clip = next(end for end in ends if end.still is None)
-    height, width = reduced_shape(clip.size[::-1], options.size or max(clip.size))
-    return ClipFilm(
-        ends, seconds, every, rates[0] if rates else Fraction(25), (width, height), options,
-        get_backend(backend), check_progress(progress),
-    )  # fmt: skip
+    film = ClipFilm(source, target, options, rate, every, max_pixels, backend, progress)
+    return (frame for _, frame in film.parts())
 
 
 class Frames:
@@ -208,18 +164,15 @@ class Frames:
                 yield found
             return
         with Clip(self.path, self._max_pixels) as clip, closing(clip.frames()) as frames:  # type: ignore[type-var]
-            last, start, count, end = None, Fraction(0), 0, Fraction(0)
-            for frame in frames:
-                if last is None:
-                    start = frame.time
+            start, count = None, 0
+            for frame, after in itertools.pairwise(itertools.chain(frames, [None])):
+                assert frame is not None
+                start = frame.time if start is None else start
+                end = frame.time + 1 / clip.rate if after is None else after.time
                 # The frame that is shown in the middle of the time of each frame of the film.
-                while last is not None and (count + Fraction(1, 2)) / rate < frame.time - start:
-                    yield last
+                while (count + Fraction(1, 2)) / rate < end - start:
+                    yield frame.pixels
                     count += 1
-                last, end = frame.pixels, frame.time - start + 1 / clip.rate
-            while last is not None and (count + Fraction(1, 2)) / rate < end:
-                yield last
-                count += 1
 
     def shown(self, pixels: AnyArray, size: Size) -> NDArray[np.float64]:
         """Return a frame as sRGB (H, W, 3) of a size: scaled to fit into it, with black bars."""
@@ -238,27 +191,55 @@ class Frames:
         return page
 
 
-@dataclass(frozen=True)
 class ClipFilm:
-    """A film in which a source becomes a target while both play; see `morph_clip`."""
+    """A film in which a source becomes a target while both play; the parameters of `morph_clip`.
 
-    ends: tuple[Frames, Frames]
-    seconds: float
-    every: float
-    rate: Fraction
-    size: Size
-    options: MorphOptions
-    operations: Operations
-    progress: StageProgress
+    `rate` takes the place of the first clip's.
+    """
 
-    @property
-    def count(self) -> int:
-        """The number of frames of the transition."""
-        return max(2, round(self.seconds * self.rate))
-
-    def frames(self) -> Iterator[NDArray[np.float32]]:
-        """Yield all frames."""
-        return (frame for _, frame in self.parts())
+    def __init__(
+        self,
+        source: Any,
+        target: Any,
+        options: MorphOptions,
+        rate: float | None,
+        every: float,
+        max_pixels: int,
+        backend: Backend,
+        progress: StageProgress | None,
+    ) -> None:
+        self.every = check_number("every", every, 0.0, LONGEST, open_low=True)
+        if options.detail != "layers":
+            raise InputError(
+                f"detail={options.detail!r} is for stills: expected 'layers' for a clip, as in the "
+                "preset 'photo'"
+            )
+        if options.endpoints == "paper" or options.sigma is not None:
+            raise InputError(
+                "endpoints='paper' and sigma are for stills: leave them out for a clip"
+            )
+        if options.landmarks == AUTO:
+            options = options.replace(landmarks=None)
+        self.seconds = options.duration or SECONDS
+        if self.seconds > LONGEST:
+            raise InputError(
+                f"duration={self.seconds:g}: expected at most {LONGEST:g} s for a transition, "
+                "whose frames are held in memory"
+            )
+        max_pixels = check_max_pixels(max_pixels)
+        self.ends = Frames("source", source, max_pixels), Frames("target", target, max_pixels)
+        if all(end.still is not None for end in self.ends):
+            raise InputError("source and target are stills: expected a clip; see clmorph.morph")
+        rates = [end.rate for end in self.ends if end.rate is not None]
+        if rate is not None:
+            rates = [Fraction(check_number("fps", rate, 0.1, 240.0)).limit_denominator(1001)]
+        clip = next(end for end in self.ends if end.still is None)
+        height, width = reduced_shape(clip.size[::-1], options.size or max(clip.size))
+        self.size: Size = width, height
+        self.rate, self.options = rates[0] if rates else Fraction(25), options
+        #: The number of frames of the transition.
+        self.count = max(2, round(self.seconds * self.rate))
+        self.operations, self.progress = get_backend(backend), check_progress(progress)
 
     def parts(self) -> Iterator[tuple[float, NDArray[np.float32]]]:
         """Yield how far the transition is, from 0 to 1, and the frame."""
@@ -331,9 +312,6 @@ class ClipFilm:
         found = pair.morph(self.operations, self.progress)
         measures = found.source, found.target
         ends = ends_of(measures, found.pictures)
-        canvas = found.canvas(0.0)
-        layers = Layers(
-            ends, measures, found.particles, (canvas, found.canvas(1.0)), self.operations,
-            outlined=False,
-        )  # fmt: skip
-        return Moment.of(layers), canvas, ends[0].extent
+        layers = Layers(ends, measures, found.particles, self.operations, outlined=False)
+        moment = Moment(tuple(layers.fields), layers.agreement, layers.times)
+        return moment, ends[0].canvas, ends[0].extent

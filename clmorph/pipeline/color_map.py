@@ -12,7 +12,7 @@ from clmorph._shared.progress import Report
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.measures.cluster import make_clusters
-from clmorph.measures.points import Pair, WeightedPoints
+from clmorph.measures.points import WeightedPoints
 from clmorph.transport.entropic_map import entropic_map
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.sinkhorn import sinkhorn
@@ -73,34 +73,23 @@ def color_map(
     cross, own = solved(b, 0.0), solved(a, 0.4)
     origin, step, near = _lattice(source.points, STEP * blur)
     nodes = origin + step * np.argwhere(near)
-    values = _steps(nodes, (a, b), (cross, own), operations)
+    there, back = (
+        entropic_map(nodes, measure, each.g, each.epsilon, operations, each.precise)
+        for measure, each in ((b, cross), (a, own))
+    )
+    # Debiased steps, T - T_own, times min(1, exp(-(f - f_own) / rho)).
+    steps = there.means - back.means
+    if not np.isinf(cross.rho):
+        # f = T(g) / (1 + epsilon / rho) at any point
+        nats = (there.softmins - back.softmins) / (cross.rho + cross.epsilon)
+        steps = np.exp(-np.maximum(nats, 0.0))[:, None] * steps
     # Farther nodes take the step of the nearest one that is computed.
     place = distance_transform_edt(~near, return_distances=False, return_indices=True)
     lattice = np.zeros((3, *near.shape))
-    lattice[:, near] = values.T
+    lattice[:, near] = steps.T
     coefficients = [spline_filter(each[tuple(place)], order=3, mode="mirror") for each in lattice]
     report(1.0)
     return ColorMap(origin, step, np.stack(coefficients))
-
-
-def _steps(
-    nodes: Array,
-    measures: Pair,
-    solved: tuple[Potentials, Potentials],
-    operations: Operations,
-) -> Array:
-    """Return debiased steps, T - T_own, of colors (K, 3), times min(1, exp(-(f - f_own) / rho))."""
-    cross, own = (
-        entropic_map(nodes, measure, each.g, each.epsilon, operations, each.precise)
-        for measure, each in zip(measures[::-1], solved, strict=True)
-    )
-    steps = cross.means - own.means
-    rho, epsilon = solved[0].rho, solved[0].epsilon
-    if np.isinf(rho):
-        return steps
-    # f = T(g) / (1 + epsilon / rho) at any point
-    nats = (cross.softmins - own.softmins) / (rho + epsilon)
-    return np.asarray(np.exp(-np.maximum(nats, 0.0))[:, None] * steps)
 
 
 def _clusters(measure: WeightedPoints, side: float) -> WeightedPoints:

@@ -6,9 +6,6 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph._shared.validation import check_number
-from clmorph.frames.canvas import Canvas
-from clmorph.frames.render import Sums, Widths, check_widths
 from clmorph.frames.sequence import FrameSequence
 from clmorph.measures.measure import Measure
 from clmorph.output.html.summary import repr_html
@@ -16,53 +13,7 @@ from clmorph.output.save import save
 
 
 class Film(FrameSequence):
-    """Frames that a renderer draws, and that are saved and shown."""
-
-    _renderer: Any
-
-    def canvas(self, t: float) -> Canvas:
-        """Return the canvas at time t.
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-        >>> morph.canvas(0.5).shape
-        (6, 6)
-        """
-        canvas: Canvas = self._renderer.canvas(check_number("t", t, 0.0, 1.0))
-        return canvas
-
-    def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
-        """Render colors, coverage and density at time t as splats, without exact ends.
-
-        Parameters
-        ----------
-        t : float in [0, 1]
-        widths : Widths, optional
-            Kernel widths, in place of those of the frames.
-
-        Returns
-        -------
-        Sums
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-        >>> sums = morph.sums(0.5)
-        >>> sums.colors.shape, sums.coverage.shape, sums.density.shape
-        ((6, 6, 3), (6, 6), (6, 6))
-        """
-        t = check_number("t", t, 0.0, 1.0)
-        sums: Sums = self._renderer.sums(t, check_widths(widths))
-        return sums
+    """Frames that are saved and shown."""
 
     def save(self, path: str | PathLike[str], **options: Any) -> None:
         """Write the frames to a file whose ending selects the format.

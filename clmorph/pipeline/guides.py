@@ -13,12 +13,9 @@ from clmorph.errors import InputError
 from clmorph.images.finding.common import Finder, figures
 from clmorph.measures.landmark_options import AUTO, MAX_LANDMARKS, Landmarks, is_for_several
 from clmorph.measures.warp import agreeing
-from clmorph.pipeline.maps import NO_MAPS, Maps
+from clmorph.pipeline.maps import NO_MAPS, OWN, Maps
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import Picture
-
-#: Coordinates of the cost that are positions and colors.
-PLAIN = 5
 
 
 class Guided(NamedTuple):
@@ -95,7 +92,7 @@ def _has_room(maps: Maps) -> bool:
     except ValueError:  # lists that differ in length
         return False
     counts = [shape[2] if len(shape) == 3 else 1 for shape in shapes]
-    return max(counts, default=0) < MAX_LIFTED - PLAIN
+    return max(counts, default=0) < MAX_LIFTED - OWN
 
 
 def _found(finder: Finder, sides: Sequence[int], pair: tuple[int, int]) -> tuple[Any, str]:

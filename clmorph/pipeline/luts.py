@@ -17,14 +17,7 @@ from clmorph.images.looks import LEAST, MOST, Lut
 from clmorph.images.pixels import as_pixels
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import RecolorKeywords
-from clmorph.pipeline.recolor import (
-    Look,
-    Recolored,
-    as_mask,
-    check_for_picture,
-    lattice,
-    look_of,
-)
+from clmorph.pipeline.recolor import Look, Recolored, as_mask, check_for_picture, lattice, look_of
 from clmorph.pipeline.recolor_options import RecolorOptions
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.progress import StageProgress
-from clmorph._shared.typing import IntArray, Progress
+from clmorph._shared.typing import AnyArray, IntArray, Progress
 from clmorph._shared.validation import check_progress
 from clmorph.backends.interface import Operations
 from clmorph.backends.multi_device import members_of
@@ -39,10 +39,10 @@ from clmorph.pipeline.presets import PresetName
 from clmorph.pipeline.result import Morph
 from clmorph.transport.barycentric import Barycentric, destination_colors
 from clmorph.transport.divergence import sinkhorn_divergence
-from clmorph.transport.options import PlanOptions, SolverOptions
+from clmorph.transport.options import SolverOptions
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import regularization
+from clmorph.transport.regularization import Goal, regularization
 from clmorph.transport.sinkhorn import sinkhorn, warn_unless_converged
 from clmorph.transport.subproblems import Subproblem, by_label, solve_parts
 
@@ -144,12 +144,8 @@ def morph(
     True
     """
     images = as_images((image_a, image_b))
-    shapes = shapes_of(images)
     chosen = as_options(options, preset, given, images, draft=draft)
-    maps = Maps(weights, color_metric, labels, features)
-    maps, _ = labeled(images, maps)
-    guide = guides(images, [(0, 1)], chosen, maps)
-    pair = ImagePair(fitted(images, chosen, maps), guide.of(0), shapes, maps, guide.found)
+    pair = ImagePair.of(images, chosen, Maps(weights, color_metric, labels, features))
     return pair.morph(backend, check_progress(progress))
 
 
@@ -165,6 +161,14 @@ class ImagePair:
     maps: Maps = NO_MAPS
     #: What landmarks were found, in a line (`clmorph.pipeline.guides`).
     found: str = ""
+
+    @classmethod
+    def of(cls, images: Sequence[AnyArray], options: MorphOptions, maps: Maps) -> ImagePair:
+        """Find what is wanted in two images, labels and landmarks, and fit these to their size."""
+        maps, _ = labeled(images, maps)
+        guide = guides(images, [(0, 1)], options, maps)
+        shown = fitted(images, options, maps)
+        return cls(shown, guide.of(0), shapes_of(images), maps, guide.found)
 
     @property
     def given_shapes(self) -> Sequence[tuple[int, int]]:
@@ -184,20 +188,20 @@ class ImagePair:
         assert landmarks != AUTO  # `guides` has found them
         return guided(*measures, landmarks, self.given_shapes)
 
-    def blocks(self, source: Measure, target: Measure) -> tuple[PixelBlocks, PixelBlocks]:
-        """Group pixels into blocks, between which the transport is solved."""
-        most = self.options.solve_size
-        return group_pixels(source, most), group_pixels(target, most)
+    @property
+    def _goal(self) -> Goal:
+        return regularization(**self.options.of(SolverOptions))
 
-    def parts(self, blocks: tuple[PixelBlocks, PixelBlocks]) -> list[Subproblem]:
-        """Return the problems that are solved by themselves: one, or one for each label."""
-        options = self.options
-        whole = blocks[0].fine, blocks[1].fine
-        labels = self.maps.labels_of(whole, self.given_shapes)
+    def parts(
+        self, source: Measure, target: Measure
+    ) -> tuple[tuple[PixelBlocks, PixelBlocks], list[Subproblem]]:
+        """Group pixels into blocks; return these, and the problem, or one for each label."""
+        most = self.options.solve_size
+        blocks = group_pixels(source, most), group_pixels(target, most)
+        labels = self.maps.labels_of((source, target), self.given_shapes)
         if labels is None:
-            return [Subproblem(*blocks)]
-        goal = regularization(**options.of(SolverOptions))
-        return by_label(*whole, labels, options.solve_size, goal)
+            return blocks, [Subproblem(*blocks)]
+        return blocks, by_label(source, target, labels, most, self._goal)
 
     def labels(self, source: Measure, target: Measure) -> tuple[IntArray, IntArray] | None:
         """Return the labels of the pixels, (N,) and (M,); None if there are none."""
@@ -219,8 +223,7 @@ class ImagePair:
                 **options.of(SolverOptions),
             )  # fmt: skip
             return [found], found
-        goal = regularization(**options.of(SolverOptions))
-        solved, whole = solve_parts(parts, masses, goal, operations, report)
+        solved, whole = solve_parts(parts, masses, self._goal, operations, report)
         warn_unless_converged(whole.status, whole.message, 5)
         return solved, whole
 
@@ -233,22 +236,15 @@ class ImagePair:
             raise InputError(NO_DIVERGENCE)
         if options.barycentric:
             destination_colors(source, target)  # raises an error if there can be none
-        blocks = self.blocks(source, target)
-        parts = self.parts(blocks)
+        blocks, parts = self.parts(source, target)
         operations = get_backend(backend)
-        check_ways(
-            *blocks, operations, sample=options.sample, barycentric=options.barycentric,
-            max_memory=options.max_memory, log_threshold=options.log_threshold,
-        )  # fmt: skip
+        check_ways(*blocks, operations, options)
         report("transport", 0.0)
         solved, potentials = self.solve(
             parts, (source.mass, target.mass), operations, lambda share: report("transport", share)
         )
         report("plan", 0.0)
-        plan = make_plan(
-            parts, solved, operations, max_particles=options.max_particles,
-            max_memory=options.max_memory, **options.of(PlanOptions),
-        )  # fmt: skip
+        plan = make_plan(parts, solved, operations, options)
         report("plan", 1.0)
         # Large pictures are held for as long as the film is.
         shown = [image.astype(np.float32) for image in self.images] if small else []
@@ -315,7 +311,14 @@ def optimal_curve(
     """
     widths = []
     for number, t in enumerate(KNOTS):
-        widths.append(_least(_objective(morph, float(t))))
+        objective = _objective(morph, float(t))
+        tried = [(objective(width), float(width)) for width in WIDTHS]
+        step = float(np.sqrt(WIDTHS[1] / WIDTHS[0]))
+        for _ in range(REFINEMENTS):
+            best = min(tried)[1]
+            tried += [(objective(width), width) for width in (best / step, best * step)]
+            step = float(np.sqrt(step))
+        widths.append(min(tried)[1])
         report((number + 1) / len(KNOTS))
     return KNOTS, np.array(widths)
 
@@ -333,14 +336,3 @@ def _objective(morph: Morph, t: float) -> Callable[[float], float]:
         return float(sinkhorn_divergence(frame, particles, blur, reach, backend=device))
 
     return divergence
-
-
-def _least(objective: Callable[[float], float]) -> float:
-    """Return the width with the least objective."""
-    tried = [(objective(width), float(width)) for width in WIDTHS]
-    step = float(np.sqrt(WIDTHS[1] / WIDTHS[0]))
-    for _ in range(REFINEMENTS):
-        best = min(tried)[1]
-        tried += [(objective(width), width) for width in (best / step, best * step)]
-        step = float(np.sqrt(step))
-    return min(tried)[1]

@@ -161,9 +161,10 @@ class MorphOptions(
         """Merge layers as `Options.layered` does, and settle who draws the detail."""
         settings: dict[str, Any] = {}
         for layer in layers:
+            below = settings.get("detail", "layers")
             settings = super().layered((settings, layer))
             _settle_gamma(settings, layer)
-            _settle_detail(settings, layer)
+            _settle_detail(settings, layer, below)
         return settings
 
     def settle(self, values: dict[str, Any]) -> dict[str, Any]:
@@ -210,10 +211,6 @@ class MorphOptions(
                 )
         return super().replace(**given)
 
-    def of(self, stage: type[Options]) -> dict[str, Any]:
-        """Return the options of one stage, a class that this one joins, by their names."""
-        return {name: getattr(self, name) for name in specifications(stage)}
-
 
 def preset_options(name: str | None) -> dict[str, Any]:
     """Return all options that any preset sets, with their values in one ("photo" if None)."""
@@ -256,7 +253,7 @@ def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
         settings["gamma"] = None
 
 
-def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
+def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any], below: Any) -> None:
     """Settle who draws the detail: later layers win, and a kernel's option asks for particles."""
 
     def asked(values: Mapping[str, Any]) -> set[str]:
@@ -275,7 +272,7 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
             # A preset decides the detail unless an option that no preset sets asks for particles.
             settings["detail"] = "particles"
     # Layers of photographs are drawn along means of the plan, but each particle is seen.
-    seen = not is_off(settings.get("detail", "layers"), ("layers",))
+    seen = not is_off(settings.get("detail", "layers"), ("layers",)) and is_off(below, ("layers",))
     usual = is_off(settings.get("solve_size"), (MorphOptions.solve_size,))
     if seen and usual and "solve_size" not in layer:
         settings["solve_size"] = FINE_BLOCKS

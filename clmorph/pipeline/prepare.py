@@ -92,9 +92,7 @@ def small_copies(
     return [fit(image, MOST_CARRIED) for image in images]
 
 
-def takes_copies(
-    shapes: Sequence[tuple[int, ...]], options: MorphOptions, beside: Maps = NO_MAPS
-) -> bool:
+def takes_copies(shapes: Sequence[tuple[int, ...]], options: MorphOptions, beside: Maps) -> bool:
     """Return whether `small_copies` of images with these shapes (H, W, C) are lifted."""
     drawn = options.detail == "layers" and options.endpoints == "exact" and options.sigma is None
     drawn = drawn and options.solve_size is not None and options.solve_size <= MOST_CARRIED

@@ -24,6 +24,8 @@ AUTO_HELP = (
 
 #: The number of blocks along the longer side where each of them, or its outline, is seen.
 FINE_BLOCKS = 128
+#: What flat drawings and sprites have in common.
+FLAT = {"mass": "foreground", "reach": math.inf, "blur": 0.02, "solve_size": FINE_BLOCKS}
 
 
 class Preset(NamedTuple):
@@ -43,24 +45,11 @@ PRESETS: dict[str, Preset] = {
     ),
     "logo": Preset(
         "For logos and flat drawings: shapes become shapes, and the background stays.",
-        {
-            "mass": "foreground",
-            "reach": math.inf,
-            "blur": 0.02,
-            "detail": "layers",
-            "solve_size": FINE_BLOCKS,
-        },
+        FLAT | {"detail": "layers"},
     ),
     "pixel-art": Preset(
         "For sprites: whole pixels move, and blocks of enlarged sprites become pixels.",
-        {
-            "mass": "foreground",
-            "reach": math.inf,
-            "blur": 0.02,
-            "detail": "pixels",
-            "scaling": "nearest",
-            "solve_size": FINE_BLOCKS,
-        },
+        FLAT | {"detail": "pixels", "scaling": "nearest"},
     ),
     "balanced": Preset(
         "Nothing fades: all mass of one picture moves into the other, however far.",

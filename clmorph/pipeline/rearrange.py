@@ -24,6 +24,7 @@ from clmorph.images.pixels import fit, split_alpha
 from clmorph.images.resizing import as_unit, resized
 from clmorph.measures.lift import lift
 from clmorph.measures.measure import Measure
+from clmorph.measures.options import LiftOptions
 from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.output.playback import eased
 from clmorph.pipeline.documentation import documented
@@ -288,12 +289,12 @@ def _compared(images: tuple[Array, Array], options: RearrangeOptions) -> tuple[M
     """Return the images as measures of equal masses for the cost."""
     colors, opacity = zip(*map(split_alpha, images), strict=True)
     if all(alpha is None for alpha in opacity):
-        first, second = (lift(image, **options.of_lift()) for image in colors)
+        first, second = (lift(image, **options.of(LiftOptions)) for image in colors)
         return first, second
     found = []
     for image, alpha in zip(colors, opacity, strict=True):
         alpha = np.ones(image.shape[:2]) if alpha is None else alpha
-        measure = lift(image * alpha[..., None], **options.of_lift())
+        measure = lift(image * alpha[..., None], **options.of(LiftOptions))
         found.append(replace(measure, features=options.color_weight * alpha.reshape(-1, 1)))
     return found[0], found[1]
 
@@ -301,7 +302,7 @@ def _compared(images: tuple[Array, Array], options: RearrangeOptions) -> tuple[M
 def _measure(image: Array, options: RearrangeOptions) -> Measure:
     """Return an image as a measure whose pixels have equal masses, whatever their opacity."""
     colors, alpha = split_alpha(image)
-    measure = lift(colors, **options.of_lift())
+    measure = lift(colors, **options.of(LiftOptions))
     return measure if alpha is None else replace(measure, alpha=alpha.ravel())
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from clmorph._shared.option_kinds import number
-from clmorph._shared.options import option, specifications, with_default
+from clmorph._shared.options import option, with_default
 from clmorph.images.color import ColorSpace
 from clmorph.measures.options import Extent, LiftOptions
 from clmorph.output.options import FPS, FrameStyle, PlaybackOptions
@@ -54,8 +54,3 @@ class RearrangeOptions(FrameStyle, PlaybackOptions):
         if values["fps"] is None and values["duration"] is None:
             values["fps"] = FPS
         return values
-
-    def of_lift(self) -> dict[str, Any]:
-        """Return the options of `clmorph.lift`, by their names."""
-        known = specifications(type(self))
-        return {name: getattr(self, name) for name in specifications(LiftOptions) if name in known}

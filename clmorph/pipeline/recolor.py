@@ -146,7 +146,7 @@ def recolored(
 ) -> tuple[Array, Look | None]:
     """Recolor a picture by checked arguments; the look is returned too, None if nothing changes."""
     found = pixels.copy()
-    mask = None if mask is None else feathered(mask, options.feather)
+    mask = feathered(mask, options.feather)
     look = look_of(pixels, like, options, mask, get_backend(backend), report)
     if look is not None:
         shares = np.ones(pixels.shape[:2]) if mask is None else mask
@@ -199,7 +199,7 @@ class Look:
 
     def _moved(self, colors: Array, shares: Array) -> Array:
         found = _stepped(colors, shares, self.change, self.space)
-        near = np.flatnonzero(self.dark.reaches(colors))
+        near = np.flatnonzero(self.dark.far(colors) < 1.0)
         whole = shares[near] == self.strength
         ours, moved = colors[near], found[near]
         found[near[whole]] = self.dark.limited(ours[whole], moved[whole])
@@ -250,12 +250,8 @@ class NearBlack(NamedTuple):
     mean: Array
     slope: float
 
-    def reaches(self, colors: Array) -> NDArray[np.bool_]:
-        """Return which colors, (N, 3), `limited` can change."""
-        return np.asarray(self.far(colors)[:, 0] < 1.0, bool)
-
     def far(self, colors: Array) -> Array:
-        """Return how far colors may be from the line, at most 1: (N, 1) array."""
+        """Return how far colors may be from the line, (N, 1): at 1 `limited` changes nothing."""
         apart = SLOPE_BETWEEN * (colors.max(axis=1) - DARK)
         return np.clip(apart, 0.0, 1.0)[:, None]
 
@@ -300,9 +296,9 @@ def weights_of(like: Array) -> Array:
     return visible
 
 
-def feathered(mask: Array, width: float) -> Array:
-    """Return a mask whose edges are softened over a width in pixels."""
-    if not width:
+def feathered(mask: Array | None, width: float) -> Array | None:
+    """Return a mask, if there is one, whose edges are softened over a width in pixels."""
+    if mask is None or not width:
         return mask
     return np.clip(gaussian_filter(mask, 0.5 * width, mode="nearest"), 0.0, 1.0)
 

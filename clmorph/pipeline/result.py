@@ -3,14 +3,14 @@
 from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Any, overload
+from typing import Any
 from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.progress import Share, StageProgress
-from clmorph._shared.validation import check_integer, check_number, check_progress
+from clmorph._shared.validation import check_number, check_progress
 from clmorph.backends.arrays import pyopencl_needed
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
@@ -128,21 +128,6 @@ class Morph(Film):
         )
 
     @property
-    def given_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Shapes (height, width) of the images as they were given, in whose pixels landmarks are.
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> image = np.eye(12)
-        >>> morph = clmorph.morph(image, image, size=6, n_frames=2, backend="numpy")
-        >>> morph.given_shapes, morph.source.shape
-        (((12, 12), (12, 12)), (6, 6))
-        """
-        return self.shapes or (self.canvas(0.0).shape, self.canvas(1.0).shape)
-
-    @property
     def solved_sizes(self) -> tuple[int, int]:
         """Numbers of solved blocks along the longer sides: at most the option `solve_size`."""
         most = self.options.solve_size
@@ -153,40 +138,13 @@ class Morph(Film):
         """The recipe of this morph in the form of files, which `json.dumps` accepts."""
         return recipe(self.options, device=self.operations.description, arrays=self.arrays)
 
-    @overload
-    def __getitem__(self, index: int) -> NDArray[np.float32]: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[NDArray[np.float32]]: ...
-    def __getitem__(self, index: int | slice) -> NDArray[np.float32] | list[NDArray[np.float32]]:
-        """Return the frame at ``times[index]``, or a list of frames for a slice.
+    def _item(self, index: int) -> NDArray[np.float32]:
+        return self._kept[index] if self._kept else super()._item(index)
 
-        Frames are rendered unless `frames` has cached them.
-        """
-        return self._kept[index] if self._kept else super().__getitem__(index)
-
-    def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:
-        """Render the frames one by one, without keeping them.
-
-        Several devices work at once. Frames that `frames` has cached are not rendered again.
-
-        Parameters
-        ----------
-        first : int
-            Number of the first frame.
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-        >>> [frame.shape for frame in morph.iter_frames()]
-        [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
-        """
-        first = check_integer("first", first, 0, len(self))
+    def _frames_from(self, first: int) -> Generator[Frame, None, None]:
+        """Draw frames by all devices at once, unless they are cached."""
         if self._kept or not self._renderer.at_once:
-            return super().iter_frames(first)
+            return super()._frames_from(first)
         return self._renderer.frames(first)
 
     @property

@@ -22,7 +22,7 @@ from clmorph.images.resizing import as_unit
 from clmorph.output.picture import write_picture
 from clmorph.output.save import Output, save
 from clmorph.pipeline.guides import guides
-from clmorph.pipeline.mixing.mix import check_images, mixes_of
+from clmorph.pipeline.mixing.mix import mix
 from clmorph.pipeline.mixing.writing import write_sheet
 from clmorph.pipeline.morph import morph
 from clmorph.pipeline.options import MorphOptions
@@ -152,9 +152,9 @@ def make_recolored(task: Task, report: StageProgress) -> Made:
 
 def make_mixes(task: Task, report: StageProgress) -> Made:
     """Mix pictures on a sheet."""
-    mixes = mixes_of(
-        check_images(list(task.pictures)), None, task.options, grid=task.grid, preset=None,
-        draft=False, backend=task.operations, progress=report, given={},
+    mixes = mix(
+        list(task.pictures), None, task.options, grid=task.grid, backend=task.operations,
+        progress=report,
     )  # fmt: skip
     sheet = mixes.sheet(task.options.background)
 

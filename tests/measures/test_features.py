@@ -9,8 +9,8 @@ from PIL import Image
 import clmorph
 from clmorph import InputError
 from clmorph.cli.main import main
-from clmorph.measures.features import read_features, with_features
 from clmorph.output.provenance import read_parameters
+from clmorph.pipeline.maps import read_features, with_features
 
 
 def pair(rng, height=8, width=10):

@@ -75,6 +75,12 @@ def test_ways_to_give_options(rng):
         clmorph.morph(*pair, splating="local")
 
 
+def test_blocks_that_were_asked_for_stay_where_other_options_are_replaced():
+    few = MorphOptions(detail="particles", solve_size=MorphOptions.solve_size)
+    assert few.replace(n_frames=5).solve_size == MorphOptions.solve_size
+    assert MorphOptions().replace(detail="particles").solve_size > MorphOptions.solve_size
+
+
 def test_pictures_are_reduced_by_default(rng):
     large = rng.random((40, 300, 3))
     result = clmorph.morph(large, large[:, ::-1], n_frames=2, backend="numpy", solve_size=16)

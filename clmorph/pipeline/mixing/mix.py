@@ -19,7 +19,7 @@ from clmorph.pipeline.mixing.mixes import Mixes, pairs_of
 from clmorph.pipeline.mixing.weights import MOST_IMAGES, check_mix_weights, grid_layout, row_layout
 from clmorph.pipeline.morph import shapes_of
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.prepare import Picture, as_images, as_options, fitted
+from clmorph.pipeline.prepare import as_images, as_options, fitted
 from clmorph.pipeline.presets import PresetName
 
 
@@ -88,46 +88,24 @@ def mix(
     >>> mixes.weights[1].tolist(), mixes.sheet().shape
     ([0.5, 0.5, 0.0, 0.0], (12, 18, 3))
     """
-    return mixes_of(
-        check_images(images), weights, options, grid=grid, preset=preset, draft=draft,
-        backend=backend, progress=check_progress(progress), given=given,
-    )  # fmt: skip
-
-
-def check_images(images: Any) -> list[Picture]:
-    """Return the images of a mix, if their number and each of them can be used."""
-    known = isinstance(images, list | tuple)
-    if not known and not (isinstance(images, np.ndarray) and images.ndim == 4):
+    several: Any = images
+    progress, known = check_progress(progress), isinstance(several, list | tuple)
+    if not known and not (isinstance(several, np.ndarray) and several.ndim == 4):
         raise InputError(f"images={shown(images)}: expected a list of two or more images")
-    if not 2 <= len(images) <= MOST_IMAGES:
+    count = len(images)
+    if not 2 <= count <= MOST_IMAGES:
         raise InputError(
-            f"images: {len(images)} given; expected 2 to {MOST_IMAGES}, because each pair of them "
-            "is solved"
+            f"images: {count} given; expected 2 to {MOST_IMAGES}, because each pair of them is "
+            "solved"
         )
-    return as_images(list(images))
-
-
-def mixes_of(
-    images: Sequence[Picture],
-    weights: ArrayLike | None,
-    options: MorphOptions | None,
-    *,
-    grid: Any,
-    preset: str | None,
-    draft: bool,
-    backend: Backend,
-    progress: StageProgress,
-    given: Any,
-) -> Mixes:
-    """Return the mixes of images that `check_images` has returned; see `mix`."""
+    pictures = as_images(list(images))
     if weights is not None and grid is not None:
         raise InputError("weights and grid contradict: give one of them")
-    count = len(images)
     if weights is None:
         layout = grid_layout(count, grid)
     else:
         layout = row_layout(check_mix_weights(weights, count))
-    chosen = as_options(options, preset, given, images, draft=draft)
-    guide = guides(images, pairs_of(count), chosen)
-    small = fitted(images, chosen)
-    return Mixes(small, layout, guide, get_backend(backend), shapes_of(images), progress)
+    chosen = as_options(options, preset, given, pictures, draft=draft)
+    guide = guides(pictures, pairs_of(count), chosen)
+    operations = get_backend(backend)
+    return Mixes(fitted(pictures, chosen), layout, guide, operations, shapes_of(pictures), progress)

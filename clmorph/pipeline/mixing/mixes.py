@@ -22,12 +22,13 @@ from clmorph.frames.ends import ends_of
 from clmorph.frames.mixes import MixRenderer
 from clmorph.frames.sequence import Frame
 from clmorph.images.detail import is_pixel_art
+from clmorph.output.framing import Framing
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import eased
 from clmorph.output.save import Output
 from clmorph.pipeline.guides import Guided
 from clmorph.pipeline.mixing.weights import Layout, check_mix_weights, path_weights
-from clmorph.pipeline.mixing.writing import Leg, check_outputs, sheet_of, write_film, write_sheet
+from clmorph.pipeline.mixing.writing import Leg, check_outputs, write_film, write_sheet
 from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import Picture
@@ -224,9 +225,22 @@ class Mixes(Items[Frame]):
         >>> clmorph.mix(images, grid=4, backend="numpy").sheet().shape
         (6, 32, 3)
         """
+        from PIL import Image
+
         if background is not None:
             background = FrameStyle.checked("background", background)
-        return sheet_of(self.drawn(), self.layout, self.pixelated, background, self.clear)
+        frames = self.drawn()
+        style = FrameStyle(background=background or (None if self.clear else "white"))
+        framing = Framing(style, [frame.shape for frame in frames], self.pixelated)
+        width, height = framing.size
+        columns, rows = self.layout.size
+        ground = background or ((0, 0, 0, 0) if framing.clear else "white")
+        mode = "RGBA" if framing.clear else "RGB"
+        sheet = Image.new(mode, (columns * width, rows * height), ground)
+        for frame, (left, top) in zip(frames, self.layout.places.tolist(), strict=True):
+            framed = framing(np.rint(255 * frame).astype(np.uint8))
+            sheet.paste(framed, (round(left * width), round(top * height)))
+        return np.asarray(sheet)
 
     def drawn(self) -> list[Frame]:
         """Draw all pictures, in an order in which neighbors share morphs."""
@@ -311,9 +325,7 @@ class Mixes(Items[Frame]):
         check_outputs(outputs, len(legs) + 1 if legs else 0, self.options)
         metadata = self._recipe(legs)
         if legs:
-            write_film(
-                outputs, legs, self.options, self.pixelated, metadata, progress=self.progress
-            )
+            write_film(outputs, legs, self.options, self.pixelated, metadata, None, self.progress)
         else:
             write_sheet(outputs, self.sheet(self.options.background), metadata)
 

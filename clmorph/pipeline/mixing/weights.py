@@ -97,7 +97,7 @@ def grid_layout(n_images: int, grid: Any = None) -> Layout:
     return Layout(weights, np.stack((along + 0.5 * (n - 1 - down), down), axis=1), (n, n))
 
 
-def grid_sides(name: str, text: Any) -> int | tuple[int, ...]:
+def grid_sides(name: str, text: Any) -> int | tuple[int, int]:
     """Return the sides of a grid from a text such as 5x5 or 7, which errors call `name`."""
     try:
         sides = tuple(int(part) for part in str(text).lower().split("x"))
@@ -105,7 +105,7 @@ def grid_sides(name: str, text: Any) -> int | tuple[int, ...]:
         sides = ()
     if not 1 <= len(sides) <= 2:
         raise InputError(f"{name} {printable(str(text), 40)}: expected rows x columns, such as 5x5")
-    return sides if len(sides) == 2 else sides[0]
+    return (sides[0], sides[1]) if len(sides) == 2 else sides[0]
 
 
 def path_weights(path: Any, n_images: int) -> Array:
