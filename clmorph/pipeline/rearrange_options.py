@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
+from warnings import warn
 
 from clmorph._shared.option_kinds import number
 from clmorph._shared.options import option, with_default
@@ -54,3 +55,11 @@ class RearrangeOptions(FrameStyle, PlaybackOptions):
         if values["fps"] is None and values["duration"] is None:
             values["fps"] = FPS
         return values
+
+    def of_lift(self) -> dict[str, Any]:
+        """Return the options of `clmorph.lift`, by their names. Deprecated: use `of`."""
+        warn(
+            "of_lift() will be removed in clmorph 1.0: use of(LiftOptions)",
+            DeprecationWarning, stacklevel=2,
+        )  # fmt: skip
+        return self.of(LiftOptions)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import clmorph
-from clmorph import InputError, MorphOptions
+from clmorph import InputError, MorphOptions, RearrangeOptions
 from clmorph._shared.options import Options, specifications
 from clmorph.frames.options import RenderOptions
 from clmorph.measures.landmark_options import GuideOptions
@@ -150,6 +150,8 @@ def test_methods_that_went_warn():
         options.chosen(("blur", "tol"), {"reach": 1.0})
     with pytest.warns(DeprecationWarning, match="when they are made"):
         options.check_together()
+    with pytest.warns(DeprecationWarning, match=r"use of\(LiftOptions\)"):
+        assert RearrangeOptions(color_weight=3.0).of_lift()["color_weight"] == 3.0
     gray = np.full((3, 3, 3), 0.5)
     film = clmorph.morph(gray, gray, n_frames=2, backend="numpy")
     with pytest.warns(DeprecationWarning, match=r"Morph\.layers"):
