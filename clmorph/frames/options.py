@@ -30,6 +30,8 @@ WIDTH = number(1e-3, 1e4)
 _WIDTH = number_or("auto", WIDTH)
 #: The default height of the bulge of Eq. 4.
 GAMMA = 0.5
+#: Who draws the detail by default, and the former names of these layers.
+LAYERS = ("layers", "carried", "shapes")
 
 
 @dataclass(frozen=True, init=False)
@@ -37,7 +39,7 @@ class RenderOptions(Options):
     """Options of the frames."""
 
     detail: Detail = option(
-        "layers", choice(Detail, {"carried": "layers", "shapes": "layers"}),
+        "layers", choice(Detail, dict.fromkeys(LAYERS[1:], "layers")),
         "What draws a frame: both pictures in motion, one of which is seen at each place (layers); "
         "their blocks, which move as wholes (cells); whole pixels of sprites (pixels); or the "
         "particles alone, as in the paper (particles), which options of their kernel below imply.",

@@ -13,7 +13,7 @@ from clmorph._shared.option_kinds import integer, number
 from clmorph._shared.options import Options, is_off, option, specifications, text_of, with_default
 from clmorph._shared.validation import as_float, check_choice, check_flag, shown
 from clmorph.errors import InputError
-from clmorph.frames.options import BULGING, GAMMA, RenderOptions
+from clmorph.frames.options import BULGING, GAMMA, LAYERS, RenderOptions
 from clmorph.measures.landmark_options import GuideOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
@@ -272,7 +272,7 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any], below: An
             # A preset decides the detail unless an option that no preset sets asks for particles.
             settings["detail"] = "particles"
     # Layers of photographs are drawn along means of the plan, but each particle is seen.
-    seen = not is_off(settings.get("detail", "layers"), ("layers",)) and is_off(below, ("layers",))
+    seen = not is_off(settings.get("detail", "layers"), LAYERS) and is_off(below, LAYERS)
     usual = is_off(settings.get("solve_size"), (MorphOptions.solve_size,))
     if seen and usual and "solve_size" not in layer:
         settings["solve_size"] = FINE_BLOCKS

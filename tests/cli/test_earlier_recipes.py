@@ -68,6 +68,8 @@ def test_settings_and_python(former, capfd):
     shown = capfd.readouterr()
     assert tomllib.loads(shown.out)["detail"] == "layers"
     assert shown.err.splitlines().count(NOTE.format(former)) == 1
+    with pytest.warns(clmorph.OptionWarning):
+        assert clmorph.MorphOptions(detail=former) == clmorph.MorphOptions(detail="layers")
     images = [clmorph.read_image(name) for name in ("a.png", "b.png")]
     options = clmorph.load_options("r.json")
     with pytest.warns(clmorph.OptionWarning, match=f"^detail='{former}' means detail='layers' now"):
