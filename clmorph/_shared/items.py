@@ -23,7 +23,12 @@ class Items(Sequence[Item]):
         numbers = range(len(self))
         if isinstance(index, slice):
             return [self._item(number) for number in numbers[index]]
-        return self._item(numbers[index])
+        try:
+            number = numbers[index]
+        except IndexError:
+            last = len(numbers) - 1
+            raise IndexError(f"{index}: expected {-len(numbers)} to {last}") from None
+        return self._item(number)
 
 
 class MadeItems(Items[Item]):

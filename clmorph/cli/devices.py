@@ -60,28 +60,30 @@ def list_devices(as_json: bool, again: bool) -> int:
         click.echo(json.dumps(records, indent=1))
         return 0 if auto else 1
     from clmorph.backends.opencl.devices.install_hints import advice, missing_files
-    from clmorph.backends.opencl.devices.quirks import has_float64
 
-    titles = (
-        "", "index", "device", "platform, driver", "type", "units", "memory", "float64",
-        "10⁹ pairs/s", "usable",
-    )  # fmt: skip
-    rows = [
-        (
-            "auto" if device.index == auto else "",
-            device.index,
-            device.name,
-            f"{device.platform}, {device.version.split('  ')[0]}, {device.driver}",
-            device.kind,
-            str(device.compute_units),
-            f"{device.memory / 2**30:.0f} GiB",
-            "yes" if has_float64(device.handle) else "no",
-            f"{device.pairs_per_second / 1e9:.1f}" if device.pairs_per_second else "",
-            "yes" if device.usable else f"no: {device.reason}",
-        )
-        for device in devices
-    ]
-    if rows:
+    if devices:
+        # Where pyopencl cannot be imported there are none.
+        from clmorph.backends.opencl.devices.quirks import has_float64
+
+        titles = (
+            "", "index", "device", "platform, driver", "type", "units", "memory", "float64",
+            "10⁹ pairs/s", "usable",
+        )  # fmt: skip
+        rows = [
+            (
+                "auto" if device.index == auto else "",
+                device.index,
+                device.name,
+                f"{device.platform}, {device.version.split('  ')[0]}, {device.driver}",
+                device.kind,
+                str(device.compute_units),
+                f"{device.memory / 2**30:.0f} GiB",
+                "yes" if has_float64(device.handle) else "no",
+                f"{device.pairs_per_second / 1e9:.1f}" if device.pairs_per_second else "",
+                "yes" if device.usable else f"no: {device.reason}",
+            )
+            for device in devices
+        ]
         print_table(titles, rows, right=["10⁹ pairs/s"])
     if auto:
         for line in missing_files() if sys.platform == "linux" else ():

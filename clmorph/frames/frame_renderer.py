@@ -79,6 +79,7 @@ class FrameRenderer:
 
         The correction of the ends and the motion of the details come from `like`, or from itself.
         """
+        assert not {"_correction", "_moving"} & vars(self).keys(), "its data are of one device"
         other = copy(self)
         other.operations, other._like = operations, like
         return other

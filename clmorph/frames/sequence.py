@@ -144,7 +144,8 @@ class FrameSequence(Items[Frame]):
     def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:
         """Render the frames one by one, without keeping them.
 
-        Several devices work at once. Frames that `Morph.frames` has cached are not rendered again.
+        Several devices of a morph work at once. Frames that `Morph.frames` has cached are not
+        rendered again.
 
         Parameters
         ----------

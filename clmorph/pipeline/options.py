@@ -271,6 +271,8 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any], below: An
         elif asked(settings):
             # A preset decides the detail unless an option that no preset sets asks for particles.
             settings["detail"] = "particles"
+            if is_off(settings.get("solve_size"), (MorphOptions.solve_size,)):
+                settings["solve_size"] = FINE_BLOCKS  # those of the preset are for its layers
     # Layers of photographs are drawn along means of the plan, but each particle is seen.
     seen = not is_off(settings.get("detail", "layers"), LAYERS) and is_off(below, LAYERS)
     usual = is_off(settings.get("solve_size"), (MorphOptions.solve_size,))

@@ -267,7 +267,7 @@ def solve_many(
                 ended = Iteration(problem, goal, share, exact=exact).run()
             # Certificates, which may be asked for much later, need no clouds.
             for softmin in ended.problem.softmins:
-                softmin.rows = softmin.columns = None
+                softmin.rows = softmin.columns = softmin.guess = None
             return np.array(numbers), ended
         except NotFiniteError as error:
             raise overflow(f"{name(numbers[error.problem])}: points") from None

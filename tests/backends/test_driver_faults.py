@@ -18,6 +18,7 @@ from clmorph.backends.opencl.build.constants import (
 )
 from clmorph.backends.opencl.build.program import _build
 from clmorph.backends.opencl.devices.quirks import LONGEST_LOOP, find_quirks
+from clmorph.backends.records import PlanTerms
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()
@@ -94,7 +95,7 @@ def test_loops_of_groups_that_do_not_fill_lanes(each_device):
         assert np.all(found == 20)
 
 
-# --- our kernels on devices that cut loops; for rows over many columns: the table of checks ------
+# --- our kernels on devices that cut loops -------------------------------------------------------
 
 BUILDS = {
     "chosen": choose_constants,
@@ -109,6 +110,50 @@ def uploaded(operations, *clouds):
 
 def clouds(operations, rng, n, m):
     return uploaded(operations, rng.random((n, 3)), rng.random((m, 3)))
+
+
+def every_row_reduction(operations):
+    """Results of the kernels that loop over columns, for 70 rows and 700 columns."""
+    rng = np.random.default_rng(5)
+    rows, columns = clouds(operations, rng, 70, 700)
+    g, epsilon = 0.01 * rng.random(700), 0.02
+    f = REFERENCE.softmin(*clouds(REFERENCE, np.random.default_rng(5), 70, 700), g, epsilon)
+    thresholds = np.sort(rng.random((70, 40)), axis=1)
+    near = operations.near_pairs(rows, columns, g, f, epsilon, 1e-4)
+    plan = operations.plan_rows(
+        PlanTerms(rows, columns, f, g, epsilon, np.full(70, -14.0), np.full(700, np.inf))
+    )
+    same = [near.pairs.tiles, plan.indptr, plan.indices, plan.mass]
+    for pairs in (None, near):
+        same += operations.plan_moments(rows, columns, g, f, epsilon, False, pairs)
+        same.append(
+            operations.sample_plan_rows(rows, columns, g, f, epsilon, thresholds, False, pairs)
+        )
+    nearly = [near.softmin, near.skipped]
+    nearly += [
+        operations.softmin(rows, columns, g, epsilon, False, pairs) for pairs in (None, near)
+    ]
+    for pairs in (None, near):
+        nearly += operations.barycentric_projection(rows, columns, g, epsilon, False, pairs)
+    nearly.append(operations.bounded_softmin(rows, columns, g, epsilon)[0])
+    return same, nearly
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_short_launches_over_columns_change_nothing(device, build):
+    """Kernels that go on where the launch before ended give the same bits.
+
+    Sums of the log-sum-exp are joined on the host, in float64, which changes their rounding.
+    """
+    constants = apply_own(device, BUILDS[build](device.device))
+    short = every_row_reduction(
+        OpenCLOperations(device.device, replace(constants, longest_loop=7000), verify=False)
+    )
+    whole = every_row_reduction(OpenCLOperations(device.device, constants, verify=False))
+    for got, want in zip(short[0], whole[0], strict=True):
+        np.testing.assert_array_equal(got, want)
+    for got, want in zip(short[1], whole[1], strict=True):
+        np.testing.assert_allclose(got, want, rtol=0, atol=0.02 * 1e-5)
 
 
 @pytest.mark.parametrize("build", BUILDS)

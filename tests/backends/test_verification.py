@@ -376,7 +376,9 @@ def test_an_update_while_a_process_runs_is_told(one, empty, monkeypatch):
     with monkeypatch.context() as patch:
         fine = f"{trial.VERDICT} {json.dumps(asdict(WORKS))}"
         checking(patch, empty, [LOADED, f"{BEGUN} verified/new {OTHER}", f'{ENDED} ""', fine])
-        with pytest.raises(DeviceError, match=r"was updated while this process ran; start it"):
+        with pytest.raises(
+            DeviceError, match=r"was perhaps updated while this process ran; start it"
+        ):
             made(one).verify(OTHER)
     assert verdicts.load(key_of(one)) is None
 

@@ -229,6 +229,16 @@ def test_videos_last_as_long_as_the_film(tmp_path, name, n_images, n_frames, pac
         assert np.abs(begins[1:] - ends[:-1] * float(rate)).max() < 0.51
 
 
+@pytest.mark.parametrize("name", ["out.mp4", "out.webm"])
+def test_videos_have_true_colors(tmp_path, name):
+    """Plain colors, which no codec has an excuse for: a wrong matrix would be off by 20."""
+    colors = [(200, 30, 40), (20, 180, 60), (30, 60, 220), (128, 128, 128), (255, 255, 255)]
+    frames = [np.full((32, 32, 3), color, np.uint8) for color in colors]
+    write(tmp_path / name, film_of(frames), canvas="source")
+    for frame, color in zip(decoded(tmp_path / name), colors, strict=True):
+        assert np.abs(frame.astype(int) - color).max() <= 4
+
+
 def test_odd_sizes_in_videos_are_made_even(tmp_path):
     rng = np.random.default_rng(0)
     odd = plain.morph(rng.random((7, 9, 3)), rng.random((9, 5, 3)), 3)

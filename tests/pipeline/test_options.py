@@ -17,7 +17,7 @@ from clmorph.frames.options import RenderOptions
 from clmorph.measures.landmark_options import GuideOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
-from clmorph.pipeline.options import BudgetOptions
+from clmorph.pipeline.options import FINE_BLOCKS, BudgetOptions, preset_options
 from clmorph.pipeline.presets import PRESETS
 from clmorph.transport.options import PlanOptions, SolverOptions
 
@@ -79,6 +79,10 @@ def test_blocks_that_were_asked_for_stay_where_other_options_are_replaced():
     few = MorphOptions(detail="particles", solve_size=MorphOptions.solve_size)
     assert few.replace(n_frames=5).solve_size == MorphOptions.solve_size
     assert MorphOptions().replace(detail="particles").solve_size > MorphOptions.solve_size
+    # A preset that gives way to an option of particles has its blocks for layers.
+    for last in ({}, {"fps": 12.0}, {"detail": "cells"}):
+        layers = {"sigma": "optimal"}, preset_options("photo"), last
+        assert MorphOptions.layered(layers)["solve_size"] == FINE_BLOCKS
 
 
 def test_pictures_are_reduced_by_default(rng):

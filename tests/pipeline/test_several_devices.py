@@ -14,6 +14,7 @@ from programs import COMMAND
 from several import KINDS, pictures
 
 import clmorph
+from clmorph.backends.multi_device import members_of
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.registration import Scene
 
@@ -74,6 +75,22 @@ def test_a_morph_is_that_of_one_device(device, kind, options):
     assert two.frame(float(two.times[3])).tobytes() == frames[3].tobytes()
     assert [f.tobytes() for f in two.iter_frames(5)] == [f.tobytes() for f in frames[5:]]
     assert two.parameters["device"] == several.description
+
+
+def test_frames_with_opacity_are_spread_too(device):
+    y, x = np.mgrid[:24, :24]
+    discs = [
+        np.dstack((np.full((24, 24, 3), value), ((x - c) ** 2 + (y - 12) ** 2 < 40).astype(float)))
+        for value, c in ((0.9, 7), (0.3, 16))
+    ]
+    one, two = (
+        clmorph.morph(*discs, n_frames=6, backend=backend)
+        for backend in (device, KINDS["halves"](device))
+    )
+    for ours, theirs in zip(one.frames, two.frames, strict=True):
+        assert ours.shape[2] == 4
+        assert np.abs(ours - theirs).max() <= 1e-3
+    assert list(two.iter_frames(4)) == two.frames[4:]
 
 
 def test_each_device_renders_its_share(device, monkeypatch):
@@ -151,6 +168,21 @@ def test_a_device_that_fails_ends_the_frames(device, monkeypatch, failing):
     assert all(member.lock.acquire(blocking=False) for member in several.members)
     for member in several.members:
         member.lock.release()
+
+
+@pytest.mark.needs_device
+def test_devices_of_two_platforms(rng):
+    if len({device.platform for device in TESTED}) < 2:
+        pytest.skip("needs two platforms")
+    first = TESTED[0]
+    other = next(device for device in TESTED if device.platform != first.platform)
+    one = clmorph.morph(*pictures(), n_frames=5, backend=first.index)
+    two = clmorph.morph(*pictures(), n_frames=5, backend=[first.index, other.index])
+    assert [member.device for member in members_of(two.operations)] == [
+        first.handle, other.handle,
+    ]  # fmt: skip
+    for ours, theirs in zip(one.frames, two.frames, strict=True):
+        assert np.abs(ours - theirs).max() <= 1e-3
 
 
 @pytest.mark.full

@@ -99,6 +99,24 @@ def test_seeds_are_exact():
 # --- measures -------------------------------------------------------------------------------
 
 
+def test_the_neighbors_of_sinkhorn_take_what_it_takes():
+    """Plain points all the way; the streamed means are those of the dense plan."""
+    potentials = clmorph.sinkhorn(*PLAIN, 0.2, backend="numpy")
+    dense = clmorph.reference.transport_plan(*PLAIN, potentials)
+    plan = clmorph.transport_plan(*PLAIN, potentials, relative=1e-12, backend="numpy")
+    assert np.allclose(plan.to_scipy().toarray(), dense, rtol=1e-9)
+    means = clmorph.barycentric_plan(*PLAIN, potentials, backend="numpy")
+    wanted = dense @ OTHERS / dense.sum(axis=1, keepdims=True)
+    assert np.allclose(means.positions, wanted, rtol=1e-9)
+    assert means.colors.shape == (4, 0)
+    assert np.allclose(means.column_mass, dense.sum(axis=0), rtol=1e-6)
+    assert np.allclose(plan.mean_destinations(POINTS.tolist(), OTHERS)[0], wanted, rtol=1e-9)
+    draws = clmorph.sample_plan(*PLAIN, potentials, 4, backend="numpy")
+    assert draws.total_mass == pytest.approx(dense.sum())
+    assert clmorph.sinkhorn_divergence(*PLAIN, backend="numpy").value > 0
+    assert clmorph.reference.cost_matrix(*PLAIN).shape == (4, 3)
+
+
 def test_what_needs_an_image_says_so():
     potentials = clmorph.sinkhorn(*PLAIN, backend="numpy")
     plan = clmorph.transport_plan(*PLAIN, potentials, backend="numpy")
@@ -106,6 +124,24 @@ def test_what_needs_an_image_says_so():
         clmorph.displacement_statistics(*PLAIN, plan)
     with pytest.raises(InputError, match=r"positions and colors.*clmorph\.lift"):
         clmorph.particles(*PLAIN, plan)
+
+
+@pytest.mark.parametrize(
+    "function", [clmorph.transport_plan, clmorph.barycentric_plan, clmorph.reference.transport_plan]
+)
+def test_wrong_potentials(function):
+    source, target = PLAIN
+    potentials = clmorph.sinkhorn(source, target, backend="numpy")
+    options = {} if function is clmorph.reference.transport_plan else {"backend": "numpy"}
+    for wrong, words in (
+        (None, "expected Potentials"),
+        ((potentials.f, potentials.g), "expected Potentials"),
+        (potentials.swapped(), "3 and 4 points; expected 4 and 3"),
+        (dataclasses.replace(potentials, f=potentials.f * np.nan), "NaN"),
+        (dataclasses.replace(potentials, g=list(potentials.g)), "float64"),
+    ):
+        with pytest.raises(InputError, match=words):
+            function(source, target, wrong, **options)
 
 
 def test_potentials_of_other_measures_of_the_same_sizes():

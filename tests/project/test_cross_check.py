@@ -1,4 +1,4 @@
-"""The judge of ``tools/cross_check.py`` detects errors; a part of the check runs."""
+"""The judge of ``tools/cross_check.py`` is correct and detects errors; a part of the check runs."""
 
 import re
 import sys
@@ -16,7 +16,51 @@ from findings import Findings
 SEED = 20261122
 #: Seconds of work for one solve.
 PATIENCE = 20.0
+#: Relative, in long double or in float64.
+CLOSE = 1e-17 if EXTENDED else 1e-13
 INF = float("inf")
+
+
+def dense(a, x, b, y, blur, rho, offsets=(None, None)):
+    sides = [
+        make_side(np.array(weights, float), np.array(points, float), offset, strength)
+        for weights, points, offset, strength in zip((a, b), (x, y), offsets, rho, strict=True)
+    ]
+    return Dense(*sides, NUMBER(blur**2))
+
+
+def kl(p, q):
+    return p * np.log(p / q) - p + q
+
+
+RHOS = [(0.09, 0.09), (1e-4, 25.0), (INF, 0.3), (2.0, INF), (INF, INF)]
+
+
+@pytest.mark.parametrize("rho", RHOS, ids=str)
+@pytest.mark.parametrize(
+    ("masses", "blur"), [((1.0, 1.0), 0.5), ((3e-12, 4e-9), 0.0078125), ((2e15, 5e3), 0.5)]
+)
+def test_two_diracs(rho, masses, blur):
+    """Log m = (rho_1 log a + rho_2 log b + epsilon log(a b) - C) / (rho_1 + rho_2 + epsilon)."""
+    a, b = map(NUMBER, masses)
+    if rho == (INF, INF):
+        b = a
+    problem = dense([float(a)], [[0.0, 1.0]], [float(b)], [[0.75, 0.0]], blur, rho)
+    cost, epsilon = NUMBER(0.5 * (0.75**2 + 1)), problem.epsilon
+    strengths = [NUMBER(one) for one in rho]
+    if np.isinf(rho[0]):
+        m = a
+    elif np.isinf(rho[1]):
+        m = b
+    else:
+        m = strengths[0] * np.log(a) + strengths[1] * np.log(b) + epsilon * np.log(a * b) - cost
+        m = np.exp(m / (strengths[0] + strengths[1] + epsilon))
+    value = cost * m + epsilon * kl(m, a * b)
+    for strength, mass in zip(strengths, (a, b), strict=True):
+        value += 0 if np.isinf(strength) else strength * kl(m, mass)
+    found, rounding = judge.solve(problem), 20 * CLOSE * abs(value)
+    assert found.settled
+    assert found.low - rounding <= value <= found.high + rounding
 
 
 def above(value):
@@ -30,9 +74,7 @@ def honest(rho, sigma=0.0):
     a[:2], b[:2] = 1.0, 0.0
     if rho == (INF, INF):
         b = np.append(a / 2, a / 2)
-    sides = (make_side(each, rng.random((len(each), 2)), None, strength)
-             for each, strength in zip((a, b), rho, strict=True))  # fmt: skip
-    problem = Dense(*sides, NUMBER(0.125**2))
+    problem = dense(a, rng.random((12, 2)), b, rng.random((len(b), 2)), 0.125, rho)
     optimum = judge.solve(problem)
     f, g = np.zeros(len(a)), np.zeros(len(b))
     f[problem.source.places] = optimum.f + sigma * rng.normal(size=len(optimum.f))

@@ -121,6 +121,20 @@ def test_half_steps_are_finite_where_masses_underflow(rng):
             assert np.isfinite(problem.dual(f, g, found.mass, epsilon, enough))
 
 
+def test_residual_looks_at_both_sides_and_at_mass_only(rng):
+    source, target = random_pair(rng, 5, 6)
+    a, b = source.weights.copy(), target.weights.copy()
+    a[2], b[3] = 0, 0
+    problem = Problem.between(
+        clmorph.get_backend("numpy"), measure(source.points, a), measure(target.points, b),
+        (np.inf, np.inf),
+    )  # fmt: skip
+    f, g = np.zeros(5), np.zeros(6)
+    df, dg = np.array([1, 2, 90, 3, 1.0]), np.array([1, 2, 3, 90, 1, 4.0])
+    assert problem.residual(f, g, df, g, 1.0) == 3
+    assert problem.residual(f, g, df, dg, 2.0) == 2
+
+
 def test_masses_that_differ_at_a_large_reach(any_backend):
     """Two Diracs of masses 1 and 5 meet in the middle: sqrt(5)."""
     point = [[0.5, 0.5, 0.5, 0.5, 0.5]]

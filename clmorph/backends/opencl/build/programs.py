@@ -108,7 +108,7 @@ class Programs:
         if (found := verdicts.load(key)) is not None:
             return found
         # Its check ended without a verdict that another check would repeat, or with another key.
-        reason = result.reason or "clmorph or the driver was updated while this process ran"
+        reason = result.reason or "clmorph or the driver was perhaps updated while this process ran"
         if not result.timed_out:
             # A kill, a lack of memory: the next use checks it again.
             advice = "try again" if result.reason else "start it again"
