@@ -251,7 +251,7 @@ def test_levels_of_the_device_are_the_hosts(device, rng, monkeypatch, operation,
         found = {
             "softmin": lambda: device.softmin(*given, False, near),
             "precise": lambda: device.softmin(*given, True, near),
-            "bounded": lambda: np.stack(device.bounded_softmin(*given, near, 1e-4)),
+            "bounded": lambda: np.hstack(device.bounded_softmin(*given, near, 1e-4)),
             "maxima": lambda: device.row_maxima(*given, near),
             "moments": lambda: np.hstack(
                 [

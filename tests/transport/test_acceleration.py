@@ -23,18 +23,17 @@ KINDS = [
 @pytest.mark.parametrize("reach", [0.1, 0.3, 1.0, None, (0.3, None), (0.2, 1.0)], ids=str)
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_dual_is_never_below_the_plain_iterations(kind, reach, seed):
-    """After equally many softmins, wherever it is stopped; nor does it ever fall."""
+    """After equally many softmins, wherever it is stopped."""
     rng = np.random.default_rng([KINDS.index(kind), seed])
     (a, x), (b, y) = of_kind(kind, rng, *rng.integers(1, 40, 2))
     if reach is None:
         a, b = a / a.sum(), b / b.sum()
-    blur, before = 10 ** rng.uniform(-1.7, 0), -np.inf
+    blur = 10 ** rng.uniform(-1.7, 0)
     for max_iter in (1, 2, 5, 12, 24, 60, 2000):
         ours = sinkhorn((a, x), (b, y), blur, reach, max_iter=max_iter, backend="numpy")
         plain = reference.sinkhorn((a, x), (b, y), blur, reach, 1e-15, max_iter=ours.n_iter)
         rounding = 1e-9 * (abs(plain.dual) + ours.epsilon * ours.transported_mass)
-        assert ours.dual >= max(plain.dual, before) - rounding, max_iter
-        before = ours.dual
+        assert ours.dual >= plain.dual - rounding, max_iter
 
 
 @pytest.mark.parametrize("imbalance", [0.3, 0.1, 0.03, 0.01])
