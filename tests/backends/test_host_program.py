@@ -259,6 +259,8 @@ def test_images(queue, device, rng, dtype):
     given = [cl_array.to_device(queue, each) for each in pictures]
     found = clmorph.morph(*given, n_frames=3, backend=queue)
     expected = clmorph.morph(*pictures, n_frames=3, backend=device)
+    assert np.array_equal(found.potentials.f, expected.potentials.f)
+    assert np.array_equal(found.plan.mass, expected.plan.mass)
     assert np.array_equal(found.frame(0.5), expected.frame(0.5))
     weights = cl_array.to_device(queue, np.ones((7, 6), np.float32))
     assert np.array_equal(clmorph.lift(given[0], weights=weights).weights, np.ones(42))
