@@ -25,6 +25,7 @@ from clmorph.backends.opencl.build import constants as build_constants
 from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.backends.opencl.verification.bench import Bench
 from clmorph.backends.opencl.verification.fields import SIZES, colors_of, grid_case, table_of
 from clmorph.backends.opencl.verification.layers import mean_cases, path_cases, scenes
 from clmorph.backends.records import PlanTerms
@@ -237,11 +238,10 @@ def exercise(operations: Operations, tile: int = 64) -> list[np.ndarray]:
     for sizes, precise in itertools.product(SIZES, (False, True)):
         results.append(operations.grid_log_sum_exp(*grid_case(*sizes, 0.6), precise))
     for method in ("gather", "moments"):
-        if isinstance(operations, OpenCLOperations):
-            operations.splatting.method = method
-        # Cells of half a pixel, and where widths differ, of one; of two pixels.
-        results += operations.splat(own, CANVAS, 0.7, 3.8)
-        results += operations.splat(resting, CANVAS, 2.7, 14.0)
+        with Bench(operations).forced("splatting", "method", method):
+            # Cells of half a pixel, and where widths differ, of one; of two pixels.
+            results += operations.splat(own, CANVAS, 0.7, 3.8)
+            results += operations.splat(resting, CANVAS, 2.7, 14.0)
     return [*results, *operations.splat(splats, CANVAS, 0.0, 0.5)]
 
 

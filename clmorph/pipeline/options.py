@@ -262,6 +262,7 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any], below: An
             if name in values and not is_off(values[name], (neutral,))
         }  # fmt: skip
 
+    gave_way = False
     if "detail" not in layer:
         if asked(layer) or "splatting" in layer:
             settings["detail"] = "particles"
@@ -270,13 +271,12 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any], below: An
             settings |= {name: OF_PARTICLES[name] for name in asked(settings)}
         elif asked(settings):
             # A preset decides the detail unless an option that no preset sets asks for particles.
-            settings["detail"] = "particles"
-            if is_off(settings.get("solve_size"), (MorphOptions.solve_size,)):
-                settings["solve_size"] = FINE_BLOCKS  # those of the preset are for its layers
-    # Layers of photographs are drawn along means of the plan, but each particle is seen.
+            settings["detail"], gave_way = "particles", True
+    # Layers of photographs are drawn along means of the plan, but each particle is seen. The blocks
+    # of a preset that gives way are for its layers.
     seen = not is_off(settings.get("detail", "layers"), LAYERS) and is_off(below, LAYERS)
     usual = is_off(settings.get("solve_size"), (MorphOptions.solve_size,))
-    if seen and usual and "solve_size" not in layer:
+    if usual and (gave_way or (seen and "solve_size" not in layer)):
         settings["solve_size"] = FINE_BLOCKS
 
 

@@ -17,6 +17,7 @@ from clmorph.backends.opencl.build.constants import (
     lanes_constants,
 )
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
+from clmorph.backends.opencl.verification.bench import Bench
 from clmorph.backends.records import PlanTerms
 from clmorph.reference import NumPyOperations
 
@@ -100,9 +101,8 @@ def few_results(operations):
         rng.random(200).astype(np.float32),
     )
     for method in ("gather", "moments"):
-        if isinstance(operations, OpenCLOperations):
-            operations.splatting.method = method
-        results += operations.splat(splats, (19, 23), 2.0, 9.0)
+        with Bench(operations).forced("splatting", "method", method):
+            results += operations.splat(splats, (19, 23), 2.0, 9.0)
     return results
 
 
