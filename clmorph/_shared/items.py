@@ -27,7 +27,7 @@ class Items(Sequence[Item]):
             number = numbers[index]
         except IndexError:
             last = len(numbers) - 1
-            raise IndexError(f"{index}: expected {-len(numbers)} to {last}") from None
+            raise IndexError(f"index {index}: expected {-len(numbers)} to {last}") from None
         return self._item(number)
 
 
