@@ -27,6 +27,7 @@ from clmorph.pipeline.budget import (
     choose_way,
     finest_pixels,
     make_plan,
+    pruned,
     warn_if_much_is_dropped,
 )
 from clmorph.pipeline.documentation import documented
@@ -54,8 +55,6 @@ INSPECTED = (
     *specifications(LiftOptions), *specifications(GuideOptions), *specifications(BudgetOptions),
     *specifications(SolverOptions), "log_threshold", "n_frames",
 )  # fmt: skip
-#: Options with which a plan keeps all its pairs.
-UNLIMITED = MorphOptions(max_particles=None, max_memory=1e18)
 
 
 @documented(MorphOptions, INSPECTED)
@@ -172,7 +171,7 @@ def inspect(
 
     report("timing", 0.0)
     way = choose_way(parts, solved, operations, chosen, stacklevel=2)
-    drawn, moving = _drawn(parts, solved, plan, pairs, way, operations)
+    drawn, moving = _drawn(parts, solved, plan, pairs, way, log_threshold, operations)
     frames = frame_seconds(
         *whole, potentials, drawn, moving, n_frames, operations, chosen.detail, pair.labels(*whole)
     )
@@ -235,6 +234,7 @@ def _drawn(
     plan: Plan | None,
     pairs: int,
     way: dict[str, Any],
+    log_threshold: float | None,
     operations: Operations,
 ) -> tuple[Plan | Barycentric | None, int]:
     """Return the plan that a morph would draw, if it may be built, and its number of pairs."""
@@ -247,7 +247,8 @@ def _drawn(
         if parts[0].points is None or finest == 1:
             made = refined(plan, *blocks)
         else:
-            made = make_plan(parts, solved, operations, UNLIMITED)
+            each = zip(parts, solved, strict=True)
+            made = joined(parts, [pruned(*one, operations, log_threshold) for one in each])
         return made, len(made)
     if finest == 1 and parts[0].points is None:
         return None, pairs

@@ -36,7 +36,7 @@ SHELLS = ("bash", "zsh", "fish")
     "--redo", is_flag=True, panel="File",
     help="Make outputs again that were made with other options, pictures or devices.",
 )  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, panel="File", help="Print a summary for programs.")
+@click.option("--json", "as_json", is_flag=True, panel="File", help="Print the result as JSON.")
 @click.option(
     "--config", type=options.FileName(), panel="Settings",
     help="Options of all pairs, from a TOML file or a recipe; options of a row take precedence.",

@@ -274,7 +274,7 @@ draft_option = click.option(
     "with fewer frames and less accuracy.",
 )  # fmt: skip
 json_option = click.option(
-    "--json", "as_json", panel="Settings", is_flag=True, help="Print a summary for programs."
+    "--json", "as_json", panel="Settings", is_flag=True, help="Print the result as JSON."
 )
 
 device_options = _together(

@@ -66,7 +66,7 @@ def make_plan(
             means = barycentric_plan(*part.measures, potentials, backend=operations)
             return refined(part.means_of_blocks(means), *part.blocks)
         if sample is None:
-            return _pruned(part, potentials, operations, log_threshold)
+            return pruned(part, potentials, operations, log_threshold)
         return _sampled(part, potentials, operations, sample, options.seed)
 
     whole = joined(
@@ -77,7 +77,7 @@ def make_plan(
     return whole
 
 
-def _pruned(
+def pruned(
     part: Subproblem, potentials: Potentials, operations: Operations, log_threshold: float | None
 ) -> Plan:
     """Return all pairs of pixels of a part that are not too small."""

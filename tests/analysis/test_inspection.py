@@ -634,6 +634,8 @@ class TestWhatAMorphWouldDraw:
         assert all(len(line) > 14 for line in found.lines())
         return result
 
+    LABELS = np.eye(16, dtype=int)
+
     @pytest.mark.in_turns
     @pytest.mark.parametrize(
         "options",
@@ -645,6 +647,7 @@ class TestWhatAMorphWouldDraw:
             {"max_particles": 1, "solve_size": 8},
             {"log_threshold": -11.0},
             {"log_threshold": -10.0, "solve_size": 8},
+            {"log_threshold": -10.0, "solve_size": 8, "labels": (LABELS, LABELS[:11])},
         ],
     )
     def test_with_limits(self, options):
