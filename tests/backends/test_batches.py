@@ -109,7 +109,9 @@ def _large(rng, operations):
     return batches, 0.1 * rng.random(4000)
 
 
-def test_one_launch_for_all_problems(device, rng):
+def test_one_launch_for_all_problems(device, rng, monkeypatch):
+    # After a slow launch, as on a busy machine, the next ones would be cut.
+    monkeypatch.setattr(LaunchBudget, "pairs", lambda budget: 1 << 22)
     (rows, columns), g = _large(rng, device)
     device.softmin(rows, columns, g, 0.01)
     for call in (

@@ -61,7 +61,7 @@ def n_maps(buffer):
 
 def unmapped(buffer):
     """Whether a buffer is mapped no longer; a driver may count that after its event has ended."""
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + 60
     while n_maps(buffer) and time.monotonic() < deadline:
         time.sleep(0.01)
     return not n_maps(buffer)

@@ -11,6 +11,7 @@ import threading
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict
 
 import numpy as np
@@ -82,11 +83,11 @@ def test_threads_share_one_backend(monkeypatch):
 @pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="starts a process as POSIX does")
 @pytest.mark.parametrize(
-    ("body", "words"), [("time.sleep(60)", "within 1 s"), ("os.abort()", "crashed")]
+    ("body", "words"), [("time.sleep(60)", "within 5 s"), ("os.abort()", "crashed")]
 )
 def test_a_child_of_the_probe_does_not_hold_its_trial_up(monkeypatch, tmp_path, body, words):
     """A process that a driver starts keeps the probe's standard output open."""
-    child, script = [sys.executable, "-c", "import time; time.sleep(20)"], tmp_path / "probe.py"
+    child, script = [sys.executable, "-c", "import time; time.sleep(60)"], tmp_path / "probe.py"
     script.write_text(
         "import os, subprocess, time\n"
         f"child = subprocess.Popen({child!r})\n"
@@ -95,10 +96,10 @@ def test_a_child_of_the_probe_does_not_hold_its_trial_up(monkeypatch, tmp_path, 
         f"{body}\n"
     )
     monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
-    # One that ends may start late on a busy machine.
-    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
+    # On a busy machine it may start late.
+    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "5" if "sleep" in body else "60")
     verdict = trial.run_probe("0:0")
-    os.kill(int((tmp_path / "pid").read_text()), 9)  # it fails if the child has ended, after 20 s
+    os.kill(int((tmp_path / "pid").read_text()), 9)  # it fails if the child has ended, after 60 s
     assert words in verdict.reason
 
 
@@ -195,21 +196,21 @@ def test_no_probe_outlives_its_parent():
         "p = subprocess.Popen([sys.executable, '-c', 'import time;"
         "from clmorph.backends.opencl.probe import end_with_parent;"
         "end_with_parent(); print(1, flush=True);"
-        "time.sleep(60)'], stdin=r); print(p.pid, flush=True); p.wait()"
+        "time.sleep(300)'], stdin=r); print(p.pid, flush=True); p.wait()"
     )
     command = [sys.executable, "-c", code]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
         child = max(int(parent.stdout.readline()) for _ in range(2))
         parent.kill()
-    for _ in range(100):
+    for _ in range(1200):
         try:
             os.kill(child, 0)
+            # A zombie that nobody reaps is gone as well. It may go between any two of these lines.
+            with suppress(FileNotFoundError), open(f"/proc/{child}/stat") as file:  # noqa: PTH123
+                if file.read().rpartition(") ")[2].startswith("Z"):
+                    return
         except ProcessLookupError:
             return
-        # A zombie that nobody reaps is gone as well.
-        with open(f"/proc/{child}/stat") as file:  # noqa: PTH123
-            if file.read().rpartition(") ")[2].startswith("Z"):
-                return
         time.sleep(0.05)
     os.kill(child, 9)
     pytest.fail("the probe lives on")
@@ -421,7 +422,7 @@ def test_a_forked_child_is_told_and_can_use_numpy(device):
                 told += "get_context('spawn')" in str(error)
         clmorph.morph(picture, picture, n_frames=2, backend="numpy").frame(0.5)
         os._exit(told)
-    for _ in range(600):
+    for _ in range(6000):
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
             assert os.waitstatus_to_exitcode(status) == len(uses)

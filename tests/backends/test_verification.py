@@ -294,13 +294,14 @@ def test_a_wrong_program_makes_the_device_unusable(one, empty, monkeypatch):
 @pytest.mark.parametrize("built", [OTHER, Variant(OPTIONAL[0])], ids=str)
 @pytest.mark.parametrize(
     ("body", "words", "lasting"),
-    [("os.abort()", "crashed", True), ("time.sleep(60)", "within 1 s", False),
+    [("os.abort()", "crashed", True), ("time.sleep(60)", "within 5 s", False),
      ("sys.exit('no card')", r"status 1\) on .*: no card", True)],
 )  # fmt: skip
 def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, words, lasting, built):
     """In an optional program it costs that program alone."""
     checking(monkeypatch, empty, [LOADED, f"{BEGUN} {key_of(one, built)} {built}"], body)
-    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
+    # On a busy machine Python may take seconds to start.
+    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "5" if "sleep" in body else "60")
     refused = lasting and not built.is_optional
     for _ in range(2):
         with pytest.raises(DeviceError, match=words) as caught:

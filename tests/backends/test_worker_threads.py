@@ -30,11 +30,18 @@ def test_an_outer_request_stops_all():
     timer.join()
 
 
-def interrupt_soon():
+def interrupt_after(started):
+    """Interrupt the main thread when its work has begun; earlier, it would end all tests."""
     main = threading.main_thread().ident
-    timer = threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT))
-    timer.start()
-    return timer
+
+    def interrupt():
+        if started.wait(60):
+            time.sleep(0.2)
+            signal.pthread_kill(main, signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    return thread
 
 
 def threads_since(before):
@@ -44,11 +51,11 @@ def threads_since(before):
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to threads")
 def test_ctrl_c_ends_results():
-    before = set(threading.enumerate())
-    timer = interrupt_soon()
+    before, started = set(threading.enumerate()), threading.Event()
+    thread = interrupt_after(started)
     with pytest.raises(KeyboardInterrupt):
-        list(results_in_order([0, 1, 0, 1], lambda worker, number: endless()))
-    timer.join()
+        list(results_in_order([0, 1, 0, 1], lambda worker, number: endless(started)))
+    thread.join()
     assert not threads_since(before)
 
 

@@ -26,7 +26,11 @@ from clmorph.batch.run import run_jobs
 from clmorph.batch.workers import LOCAL, devices_of, local_client, quiet_dask
 from clmorph.cli.main import main
 
-pytestmark = pytest.mark.filterwarnings("default::ResourceWarning", "default::DeprecationWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "default::ResourceWarning", "default::DeprecationWarning",
+    # Of a busy disk, on which a worker's folder is made in more than a second.
+    "default:Creating scratch directories:UserWarning",
+)  # fmt: skip
 
 #: Options of all morphs: some milliseconds each.
 OPTIONS = {"size": 12, "frames": 3, "max_particles": 500}
@@ -100,7 +104,7 @@ def records(folder):
 
 
 def wait_for(count, folder, process):
-    end = time.monotonic() + 60
+    end = time.monotonic() + 300
     while len(records(folder)) < count and process.poll() is None:
         assert time.monotonic() < end
         time.sleep(0.005)
@@ -125,7 +129,7 @@ def test_nothing_is_lost(client, pictures, tmp_path, capsys):
         os.kill(pid, signal.SIGKILL)
         wait_for(len(before) + 4, out, process)
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
     assert f"of {N_PAIRS + 3} pairs are done: the same command does the rest" in errors
     assert "Traceback" not in errors
@@ -491,16 +495,16 @@ def test_a_scheduler_that_dies(pictures, tmp_path):
             assert scheduler.poll() is None
             time.sleep(0.05)
         worker = [*dask, "worker", "--scheduler-file", str(told), "--nthreads", "1", "--no-nanny"]
-        worker += ["--no-dashboard", "--death-timeout", "20", "--local-directory", str(tmp_path)]
+        worker += ["--no-dashboard", "--death-timeout", "120", "--local-directory", str(tmp_path)]
         processes.append(subprocess.Popen(worker, stderr=subprocess.DEVNULL))
         address = json.loads(told.read_text())["address"]
         with quiet_dask(), Client(address) as client:  # without a worker the command prints a note
-            client.wait_for_workers(1, timeout=60)
+            client.wait_for_workers(1, timeout=300)
         call = [tmp_path / "jobs.csv", "-o", out, "--backend", "numpy", "--scheduler", address]
         with started(*call) as process:
             wait_for(2, out, process)
             scheduler.kill()
-            _, errors = process.communicate(timeout=60)
+            _, errors = process.communicate(timeout=300)
         assert process.returncode == 2, errors
         assert errors.count("\n") == 2, errors
         last = errors.splitlines()[1]
@@ -594,7 +598,7 @@ threading.Thread._set_ident = collecting
 refused()
 """
     command = [sys.executable, "-c", script]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.stdout == "--scheduler tls://127.0.0.1:1: no\n" * 2, done.stderr
 
 
@@ -648,7 +652,7 @@ def test_ctrl_c_of_a_terminal(pictures, tmp_path):
     try:
         wait_for(2, out, process)
         os.killpg(process.pid, signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=300)
     finally:
         process.kill()
     assert process.returncode == 130, errors
