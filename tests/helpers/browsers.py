@@ -5,6 +5,8 @@ from contextlib import contextmanager
 import pytest
 from programs import program
 
+#: Milliseconds that a slow machine may take to start, to load a page, or to make a file.
+PATIENCE = 120_000
 FLAGS = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
@@ -18,7 +20,7 @@ def chromium():
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=path, args=FLAGS)
+        browser = driver.chromium.launch(executable_path=path, args=FLAGS, timeout=PATIENCE)
         yield browser
         browser.close()
 
@@ -47,6 +49,7 @@ def watched(browser):
 
     def open_page(address, own, before="", **options):
         context = browser.new_context(**({"reduced_motion": "reduce"} | options))
+        context.set_default_timeout(PATIENCE)
         contexts.append(context)
         page = context.new_page()
         page.add_init_script(before)

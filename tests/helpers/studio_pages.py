@@ -88,9 +88,16 @@ def until(page, condition, seconds=60.0):
 
 
 def take(page, paths):
-    """Give pictures, and wait for the preview."""
+    """Give pictures, and wait for the first preview of all of them."""
+    count = page.evaluate("studio.state.pictures.length") + len(paths)
     page.set_input_files("#choose", [str(path) for path in paths])
-    until(page, "studio.state.shown === studio.state.number && studio.state.shown > 0")
+    until(page, f"studio.state.pictures.length === {count}")
+    until(
+        page,
+        "studio.state.shown === studio.state.number "
+        "&& studio.state.asks.get(studio.state.shown)?.pictures "
+        "=== studio.state.pictures.map((each) => each.key).join()",
+    )
 
 
 def fill(page, **values):
@@ -101,7 +108,10 @@ def fill(page, **values):
 
 
 def frame(page, time):
-    """The pixels of the viewer's frame at a time, as a digest."""
+    """The pixels of the viewer's frame at a time, as a digest.
+
+    Nothing finer may come meanwhile: a viewer that is removed while it decodes never answers.
+    """
     return page.evaluate(
         """async (time) => { const view = studio.state.view.contentWindow;
         await view.clmorph.seek(time);
@@ -129,10 +139,11 @@ def fetched(page, ending):
 
 
 def previewed(page):
-    """Wait until nothing finer comes."""
+    """Wait until the finest preview stands there, and its command."""
     until(
         page,
         "studio.state.shown === studio.state.number && studio.state.shown > 0 "
+        "&& studio.state.coming === null && studio.state.told === studio.state.number "
         "&& document.getElementById('status').textContent === 'preview'",
     )
 

@@ -97,6 +97,7 @@ def test_kinds_of_work(opened, pictures, place):
 def test_painted_regions_go_into_each_other(opened, pictures, place):
     page = opened()
     take(page, pictures)
+    previewed(page)
     before = frame(page, 0.5)
     page.check("#use-brush")
     stroke(page, 0, (0.2, 0.2), (0.6, 0.2))
@@ -128,6 +129,7 @@ def test_painted_regions_go_into_each_other(opened, pictures, place):
     until(page, "document.getElementById('command').value.includes('--reach 0.3')")
     # Another picture in the place of a painted one: what was painted on the other one stays.
     page.get_by_role("button", name="Remove picture B").click()
+    until(page, "studio.state.pictures.length === 1")
     third = place / "third.png"
     Image.open(pictures[1]).save(third)
     page.set_input_files("#choose", str(third))
@@ -246,7 +248,7 @@ def test_waiting_work_keeps_the_paint_that_it_was_asked_with(opened, pictures):
     page.mouse.move(box["x"] + 10, box["y"] + 0.8 * box["height"])
     page.mouse.down()
     page.mouse.up()
-    until(page, "document.getElementById('unpaint').disabled === false")
+    page.evaluate("sent")  # the server has it
     busy.click("#cancel")
     until(page, "!document.getElementById('downloads').hidden")
     recipe = json.loads(fetched(page, "json"))

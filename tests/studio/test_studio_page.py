@@ -22,8 +22,9 @@ def test_pasted_pictures_and_landmarks_that_are_moved(opened, pictures):
         )  # fmt: skip
         until(page, f"studio.state.pictures.length === {count + 1}")
     previewed(page)
-    for side, place_on in enumerate(({"x": 30, "y": 30}, {"x": 60, "y": 60})):
-        page.locator("#shown .frame").nth(side).click(position=place_on)
+    page.locator("#shown .frame").nth(0).click(position={"x": 30, "y": 30})
+    other = page.locator("#shown .frame").nth(1)
+    after(page, lambda: other.click(position={"x": 60, "y": 60}))
     assert page.evaluate("studio.landmarks.pairs().length") == 1
     before = page.evaluate("studio.landmarks.pairs()[0][0]")
     mark = page.get_by_role("button", name="Landmark 1 in A").bounding_box()
@@ -31,7 +32,7 @@ def test_pasted_pictures_and_landmarks_that_are_moved(opened, pictures):
     page.mouse.move(*middle)
     page.mouse.down()
     page.mouse.move(middle[0] + 40, middle[1] + 15, steps=4)
-    page.mouse.up()
+    after(page, page.mouse.up)
     box = page.locator("#shown .frame img").nth(0).bounding_box()
     moved = page.evaluate("studio.landmarks.pairs()[0][0]")
     assert moved[0] - before[0] == pytest.approx(40 / box["width"] * 60, abs=0.3)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from sights import photograph
-from studio_pages import after, fetched, fill, previewed, run, same_by, take, until
+from studio_pages import after, fetched, fill, finished, previewed, run, same_by, take, until
 
 import clmorph
 from clmorph.frames.frame_renderer import FrameRenderer
@@ -105,9 +105,15 @@ def test_a_reload_keeps_pictures_points_settings_and_the_result(opened, pictures
     take(page, pictures)
     for side in (0, 1):
         page.locator("#shown .frame").nth(side).click(position={"x": 40, "y": 40})
-    fill(page, size="24", frames="4")
-    previewed(page)
-    run(page)
+    fill(page, size="24")
+    # What is set just before the run is kept, too.
+    page.evaluate(
+        """() => { const input = document.getElementById("option-frames");
+        input.value = "4";
+        input.dispatchEvent(new Event("input", { bubbles: true }));
+        document.getElementById("run").click(); }"""
+    )
+    finished(page)
     gif, marks = fetched(page, "gif"), pairs(page)
     page.reload()
     page.evaluate("studio.ready")

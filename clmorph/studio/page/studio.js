@@ -522,6 +522,7 @@ function settled(found, number) {
 
 async function run() {
   clearTimeout(state.timer);
+  remember(); // what was set just before, too
   const number = (state.number += 1);
   state.running = number;
   $("downloads").hidden = true;
