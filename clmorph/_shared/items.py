@@ -1,10 +1,23 @@
 """Sequences whose items are made when they are read."""
 
+import operator
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TypeVar, overload
+from typing import Any, TypeVar, overload
+
+from clmorph._shared.validation import shown
 
 Item = TypeVar("Item")
+
+
+def place_of(index: Any, count: int) -> int:
+    """Return the number from 0 that an index means, which may count from the end."""
+    try:
+        return range(count)[operator.index(index)]
+    except IndexError:
+        raise IndexError(f"index {index}: expected {-count} to {count - 1}") from None
+    except TypeError:
+        raise TypeError(f"index {shown(index)}: expected a whole number") from None
 
 
 class Items(Sequence[Item]):
@@ -20,15 +33,9 @@ class Items(Sequence[Item]):
     def __getitem__(self, index: slice) -> list[Item]: ...
     def __getitem__(self, index: int | slice) -> Item | list[Item]:
         """Return an item, or a list of items for a slice."""
-        numbers = range(len(self))
         if isinstance(index, slice):
-            return [self._item(number) for number in numbers[index]]
-        try:
-            number = numbers[index]
-        except IndexError:
-            last = len(numbers) - 1
-            raise IndexError(f"index {index}: expected {-len(numbers)} to {last}") from None
-        return self._item(number)
+            return [self._item(number) for number in range(len(self))[index]]
+        return self._item(place_of(index, len(self)))
 
 
 class MadeItems(Items[Item]):

@@ -39,6 +39,8 @@ class Kind:
     pair: bool = False
     #: Whether the value is a sequence, to which each use on the command line adds.
     several: bool = False
+    #: The description of values of TOML and JSON, if it is not `expected`.
+    in_files: str = ""
 
 
 def _is_number(value: Any) -> bool:

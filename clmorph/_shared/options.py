@@ -257,7 +257,8 @@ def from_outside(known: Option, name: str, value: Any) -> Any:
     if known.kind.pair and isinstance(value, list) and value:
         return tuple(from_outside(known, name, part) for part in value)
     if not known.kind.scalar(value):
-        raise InputError(f"{name} = {shown(value)}: expected {_expected(known)}")
+        expected = known.kind.in_files or _expected(known)
+        raise InputError(f"{name} = {shown(value)}: expected {expected}")
     return value * known.scale if known.scale != 1.0 else value
 
 

@@ -38,6 +38,15 @@ class Terminated(BaseException):
         self.number = number
 
 
+def _imports(frame: FrameType | None) -> int:
+    """Return in how many steps of imports a frame is."""
+    count = 0
+    while frame is not None:
+        count += frame.f_code.co_filename == "<frozen importlib._bootstrap>"
+        frame = frame.f_back
+    return count
+
+
 class Ending:
     """Whether all files of a run are `written`, or else what is done so far (`partial`)."""
 
@@ -48,12 +57,17 @@ class Ending:
         self.depth = 0
         self.waiting: int | None = None
         self._last = -PATIENCE
+        self._imports = _imports(sys._getframe())
 
     def handle(self, number: int, frame: FrameType | None) -> None:
         """Raise `Terminated`, or store the signal if it must wait."""
         now = time.monotonic()
         if _current is not self or now - self._last < PATIENCE:
             return  # the run is over, or its cleanup is in progress
+        if not self.depth and _imports(frame) > self._imports:
+            # A module that is compiled may lose an exception that is raised while it is imported.
+            self._soon(number)
+            return
         self._last = now
         if self.depth:
             self.waiting = number
@@ -66,7 +80,10 @@ class Ending:
             usual(what)
             return
         self._last = -PATIENCE
-        timer = threading.Timer(SOON, self._again, (what.exc_value.number,))
+        self._soon(what.exc_value.number)
+
+    def _soon(self, number: int) -> None:
+        timer = threading.Timer(SOON, self._again, (number,))
         timer.daemon = True
         timer.start()
 

@@ -13,6 +13,7 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
+from clmorph.measures.points import as_many, as_measure
 from clmorph.transport.divergence import sinkhorn_divergence
 from clmorph.transport.divergence_batch import sinkhorn_divergence_batch
 from clmorph.transport.gradient import Gradient
@@ -66,6 +67,13 @@ def changed_gradient(
         product.source_weights, product.source_points,
         product.target_weights, product.target_points,
     )  # fmt: skip
+
+
+def check_values(*arrays: Any) -> None:
+    """Check values of a, x, b and y, whose shapes are right, as a solve does."""
+    a, x, b, y = (as_floats(*pair) for pair in zip(NAMES, arrays, strict=True))
+    for name, measure in (("(a, x)", (a, x)), ("(b, y)", (b, y))):
+        (as_many if a.ndim == 2 else as_measure)(name, measure)
 
 
 def check_shapes(*shapes: tuple[int, ...]) -> bool:

@@ -11,6 +11,7 @@ from clmorph.adapters._losses import (
     LOSS_TOL,
     changed_gradient,
     check_shapes,
+    check_values,
     divergence_and_gradient,
 )
 from clmorph.backends.select import Backend, get_backend
@@ -92,6 +93,8 @@ def sinkhorn_divergence(
         raise InputError("a, x, b, y: expected arrays of floats") from None
     check_shapes(*(each.shape for each in arrays))
     # What JAX would report as its own error is found here where it can be.
+    if not any(isinstance(each, jax.core.Tracer) for each in arrays):
+        check_values(*arrays)
     one_regularization(blur, reach, epsilon, rho, tol, max_iter)
     get_backend(backend)
     options = {"blur": blur, "reach": reach, "tol": tol, "max_iter": max_iter,

@@ -13,8 +13,7 @@ from clmorph._shared.validation import check_integer, errors_about
 from clmorph.backends.select import get_backend
 from clmorph.batch.extra import TURN, check_client, check_device, on_workers
 from clmorph.errors import ConvergenceWarning
-from clmorph.measures.points import AnyMeasure, Pair, as_many, as_pair
-from clmorph.transport._solver.symmetric import are_equal
+from clmorph.measures.points import AnyMeasure, Pair, are_equal, as_many, as_pair
 from clmorph.transport.divergence import check_symmetric, combined, one_regularization
 from clmorph.transport.divergence_batch import solve_divergences
 from clmorph.transport.options import Precision, SolverOptions

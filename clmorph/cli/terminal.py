@@ -122,7 +122,8 @@ def read_picture(path: Path, max_pixels: int) -> Any:
 
 def device_name(device: str | None, backend: str | None) -> str:
     """Return the device that ``--device`` or ``--backend`` names; both may not differ."""
-    if device is not None and backend not in (None, "auto", "opencl"):
+    others = ("auto",) if device == "numpy" else ("auto", "opencl")
+    if device is not None and backend not in (None, *others):
         raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
     return device or backend or "auto"
 

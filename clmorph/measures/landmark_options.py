@@ -152,7 +152,10 @@ LANDMARKS = Kind(
         {"const": AUTO}, _PAIRS_SCHEMA,
         {"type": "array", "items": _PAIRS_SCHEMA, "maxItems": MAX_MORPHS},
     ]},
-    lambda value: isinstance(value, list) or value == AUTO, several=True,
+    lambda value: value == AUTO or (
+        isinstance(value, list) and not any(isinstance(each, str) for each in value)
+    ),
+    several=True, in_files="pairs of points in pixels, such as [[[120, 80], [131, 92]]], or 'auto'",
 )  # fmt: skip
 
 #: Largest weight of a feature, and largest number of features.

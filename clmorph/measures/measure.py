@@ -133,10 +133,12 @@ def check_masses(name: str, masses: Array) -> None:
     """Check masses of points: at least 0, with a sum in range."""
     with np.errstate(over="ignore"):
         total = masses.sum()
-    if not (np.all(masses >= 0) and 1e-30 <= total <= 1e30):
+    wrong = masses[~(masses >= 0)]
+    if wrong.size or not 1e-30 <= total <= 1e30:
+        what = f"one is {wrong[0]:g}" if wrong.size else f"their sum is {total:g}"
         raise InputError(
-            f"{name}: expected masses of at least 0 with a positive sum, from 1e-30 to 1e30; "
-            "replace negative or missing ones by 0, and scale them"
+            f"{name}: {what}; expected masses of at least 0 with a positive sum, from 1e-30 to "
+            "1e30: replace negative or missing ones by 0, and scale them"
         )
 
 

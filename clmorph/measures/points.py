@@ -109,6 +109,16 @@ def as_measures(source: Any, target: Any) -> Pair:
     return pair
 
 
+def are_equal(one: AnyMeasure, other: AnyMeasure) -> bool:
+    """Return whether two measures have the same points, weights and offsets."""
+    names = ["weights", "offsets", "points"]
+    if isinstance(one, Grid) and isinstance(other, Grid):
+        names.remove("points")  # they are many more numbers than the axes
+        if one.shape != other.shape or not all(map(np.array_equal, one.axes, other.axes)):
+            return False
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
+
+
 def dimension_of(measure: AnyMeasure) -> int:
     """Return the dimension of a measure's points."""
     return measure.dimension if isinstance(measure, Grid) else measure.points.shape[1]
@@ -219,10 +229,11 @@ def _weighted_points(name: str, weights: Any, points: Any, offsets: Any = None) 
             f"{name} has {len(points)} points in {points.shape[1]} dimensions: expected at most "
             f"{MAX_POINTS} points in 1 to {MAX_DIMENSION} dimensions"
         )
-    if not np.all(np.abs(points) <= MAX_COORDINATE):
+    far = points[~(np.abs(points) <= MAX_COORDINATE)]
+    if far.size:
         raise InputError(
-            f"{name}: expected finite coordinates within +-{MAX_COORDINATE:g}; remove missing "
-            "ones, and choose another unit for large ones"
+            f"{name}: a coordinate is {far[0]:g}; expected finite coordinates within "
+            f"+-{MAX_COORDINATE:g}: remove missing ones, and choose another unit for large ones"
         )
     check_masses(f"{name}: its weights", weights)
     if offsets is not None and (

@@ -16,13 +16,14 @@ import numpy as np
 from clmorph._shared.notebook import interval
 from clmorph._shared.typing import Progress
 from clmorph._shared.validation import check_flag, check_progress, shown
+from clmorph.backends.interface import Operations
 from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
-from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.measures.points import AnyMeasure, MeasureLike, Pair, are_equal, as_pair
 from clmorph.transport._solver.annealing import ignore
+from clmorph.transport._solver.plan_softmin import RowsOfPlan
 from clmorph.transport._solver.problem import check_problem
-from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.gradient import Gradient, divergence_gradient
 from clmorph.transport.options import Precision, SolverOptions
@@ -221,6 +222,8 @@ def sinkhorn_divergence(
             )
     operations = for_one_solve(get_backend(backend))
     check_problem(pair, goal, operations)
+    if cross is not None:
+        check_cross(operations, pair, cross)
 
     known = cross is not None
     parts: list[Potentials] = []
@@ -256,6 +259,17 @@ def one_regularization(*given: Any) -> Goal:
             "there is no divergence"
         )
     return goal
+
+
+def check_cross(operations: Operations, pair: Pair, cross: Potentials) -> None:
+    """Check that potentials are those of these measures, so that their interval is, too."""
+    if cross.measures is None:
+        RowsOfPlan(operations, pair, cross).checked()
+    elif not all(map(are_equal, pair, cross.measures)):
+        raise InputError(
+            "cross: potentials are of other measures: expected clmorph.sinkhorn of these, in the "
+            "same order, or leave it out"
+        )
 
 
 def check_symmetric(*measures: AnyMeasure) -> None:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from clmorph._shared.items import place_of
 from clmorph._shared.typing import AnyArray, Array, Progress
-from clmorph._shared.validation import check_flag, check_progress, errors_about
+from clmorph._shared.validation import check_flag, check_progress, errors_about, shown
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
-from clmorph.measures.points import Pair, as_many, as_pair
-from clmorph.transport._solver.symmetric import are_equal
+from clmorph.measures.points import Pair, are_equal, as_many, as_pair
 from clmorph.transport.divergence import (
     Divergence,
     better,
@@ -227,7 +227,12 @@ class DivergenceMatrix:
 
     def __getitem__(self, pair: tuple[int, int]) -> Divergence:
         """Return the divergence of a pair of measures."""
-        i, j = (range(len(self))[number] for number in pair)
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise TypeError(
+                f"index {shown(pair)}: expected two, as in matrix[0, 1]; numpy.asarray(matrix) has "
+                "all values"
+            )
+        i, j = (place_of(number, len(self)) for number in pair)
         return combined(self._between(i, j), self._between(i, i), self._between(j, j))
 
     def _between(self, i: int, j: int) -> Potentials:

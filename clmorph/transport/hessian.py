@@ -26,6 +26,7 @@ from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import MeasureLike, Pair, as_pair
+from clmorph.transport._solver.plan_softmin import check_marginal
 from clmorph.transport.divergence import Divergence
 from clmorph.transport.gradient import Gradient, joined_sides
 from clmorph.transport.potentials import Potentials, check_potentials
@@ -146,6 +147,9 @@ def _product(
         cost += 0.0 if offsets is None else offsets.reshape(shape)
     plan = np.exp((potentials.f[:, None] + potentials.g - cost) / epsilon) * a[:, None] * b
     r, c = plan.sum(axis=1), plan.sum(axis=0)
+    nats = 2.0 * potentials.truncation_error + (potentials.truncation or 0.0)
+    for told, mass in ((potentials.row_mass, r), (potentials.column_mass, c)):
+        check_marginal("solved: potentials", told, mass, nats)
     moved = plan * change
     right = np.concatenate(
         (moved.sum(axis=1) - epsilon * (plan @ (db / b)),

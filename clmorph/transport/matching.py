@@ -16,6 +16,7 @@ from clmorph.backends.interface import MAX_DIMENSION, Operations
 from clmorph.backends.multi_device import for_one_solve
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning, InputError
+from clmorph.measures.measure import check_masses
 from clmorph.measures.points import as_measure
 from clmorph.transport.assignment_search import FEW_PAIRS, Solution, solved
 from clmorph.transport.pair_costs import Costs, Indices
@@ -260,12 +261,9 @@ def _points(name: str, value: Any) -> Array:
 
 def _weights(value: Any, count: int, swapped: bool) -> Array:
     weights = as_floats("weights", value, "one number for each point of x, (N,)")
-    if weights.shape != (count,) or not np.all((weights >= 0) & (weights < np.inf)):
-        raise InputError(
-            f"weights have shape {weights.shape}: expected ({count},), finite and at least 0"
-        )
+    if weights.shape != (count,):
+        raise InputError(f"weights have shape {weights.shape}: expected ({count},)")
+    check_masses("weights", weights)
     if swapped:
         raise InputError("weights need at least as many points in y as in x")
-    if not weights.any():
-        raise InputError("weights are all 0: expected a positive one")
     return weights

@@ -14,7 +14,7 @@ from clmorph.backends.arrays import pyopencl_needed
 from clmorph.backends.records import LastPasses
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
-from clmorph.measures.points import AnyMeasure, MeasureLike, as_measure
+from clmorph.measures.points import AnyMeasure, MeasureLike, are_equal, as_measure
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.entropic_map import as_places, entropic_map
 from clmorph.transport.options import LENGTH, Reach
@@ -235,7 +235,12 @@ class Potentials:
                 f"potentials, {self.blur:g} and {shown(self.reach)}"
             )
         source = own._measure(1, "own")
-        check_potentials("own", own, (n, len(source)))
+        known = source if self.measures is None else self._measure(0, "potentials")
+        if not (are_equal(own._measure(0, "own"), source) and are_equal(known, source)):
+            raise InputError(
+                "own: potentials are of other measures: expected clmorph.sinkhorn of the source "
+                "with itself"
+            )
         places = as_places(places, source)
         stay = entropic_map(places, source, own.g, own.epsilon, operations, own.precise).means
         return places + (mapped - stay)

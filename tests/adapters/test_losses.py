@@ -131,6 +131,9 @@ def test_jax(any_backend, rng):
         loss(given[0], given[3])
     with pytest.raises(InputError, match="blur=-1"):
         clmorph.jax.sinkhorn_divergence(*given, -1)
+    for many in (given, [np.stack([each] * 2) for each in given]):
+        with pytest.raises(InputError, match="a coordinate is nan"):
+            clmorph.jax.sinkhorn_divergence(many[0], many[1] * np.nan, *many[2:], 0.3)
     both = jax.vmap(loss, (0, None))(np.stack([given[1]] * 2), given[3])
     np.testing.assert_allclose(both, [want.value] * 2, rtol=1e-5)
 

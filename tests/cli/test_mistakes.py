@@ -88,6 +88,7 @@ OPTIONS = [
     ("a.png b.jpg -o x.gif --colour 3", "--colour"),
     ("a.png b.jpg -o x.gif --blur", "--blur"),
     ("a.png b.jpg -o x.gif --device pocl --backend numpy", "contradict"),
+    ("a.png b.jpg -o x.gif --device numpy --backend opencl", "contradict"),
     ("a.png b.jpg -o x.gif --blur 0.05 --epsilon 0.0025", "--blur 0.05 and --epsilon 0.0025"),
     ("a.png b.jpg -o x.gif --reach 0.3 --rho 0.09", "--reach 0.3 and --rho 0.09"),
     ("a.png b.jpg -o x.gif --reach balanced --rho 0.09", "--reach balanced and --rho 0.09"),

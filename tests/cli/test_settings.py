@@ -353,6 +353,8 @@ def test_mistakes_in_files(refused):
         "frames = 1": "x.toml: n_frames=1",
         "reach = [0.3]": "a pair",
         'device = "0:0"': "--device or --backend",
+        'landmark = "1,2:3,4"': "landmark = '1,2:3,4': expected pairs of points",
+        'landmark = ["1,2:3,4"]': "such as [[[120, 80], [131, 92]]], or 'auto'",
     }
     for text, words in cases.items():
         Path("x.toml").write_text(text)

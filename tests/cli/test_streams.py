@@ -69,6 +69,13 @@ def test_the_bytes_of_a_file(name):
 
 
 @pytest.mark.full
+def test_a_closed_standard_output_takes_no_film():
+    done = shell(f"clmorph {' '.join(MORPH)} -o - --format gif >&-")
+    assert done.returncode == 2
+    assert b"standard output is closed" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.full
 def test_programs_read_films():
     pytest.importorskip("av")
     ffprobe = program("ffprobe")

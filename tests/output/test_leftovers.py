@@ -1,6 +1,7 @@
 """However a run ends, its files are whole, and its temporary files are removed soon."""
 
 import dataclasses
+import importlib
 import mmap
 import os
 import shutil
@@ -516,6 +517,25 @@ def test_a_signal_that_waited_for_a_block_that_fails():
         assert isinstance(caught.value.__context__, ValueError)
         with signals.undisturbed():
             pass
+
+
+@posix
+def test_a_signal_during_an_import_comes_after_it(monkeypatch):
+    """A compiled module may lose what is raised in it, as this one does."""
+    Path("clmorph_late.py").write_text(
+        "import os, signal, time\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    for _ in range(10): time.sleep(0.01)\n"
+        "except BaseException:\n"
+        "    pass\n"
+        "complete = True\n"
+    )
+    monkeypatch.syspath_prepend(Path.cwd())
+    with signals.terminable(), pytest.raises(signals.Terminated):  # noqa: PT012
+        assert importlib.import_module("clmorph_late").complete
+        for _ in range(3000):
+            time.sleep(0.01)
 
 
 @pytest.mark.parametrize(("number", "times"), [(3, 0), (200, 1)])

@@ -240,8 +240,11 @@ def test_potentials_are_made_when_they_are_asked_for(monkeypatch, rng):
     assert len(calls) == 2
     assert [each is found[number] for number, each in enumerate(found)] == [True] * 6
     assert found[1:4] == [found[1], found[2], found[3]]
-    with pytest.raises(IndexError):
-        found[6]
+    for index, error, words in (
+        (6, IndexError, "index 6: expected -6 to 5"), ("a", TypeError, "index 'a': expected a"),
+    ):  # fmt: skip
+        with pytest.raises(error, match=words):
+            found[index]
     # Arrays are copies: a change of one problem's cannot reach another's.
     found[0].f[:] = np.nan
     assert np.all(np.isfinite(found[1].f))
@@ -291,7 +294,7 @@ def test_rounding_that_is_in_the_way_is_told(device, rng):
 def test_errors_name_the_problem(rng):
     good = random_pairs(rng, 1)[0]
     for wrong, text in (
-        (((-np.ones(3), np.zeros((3, 3))), good[1]), r"^problem 1: source: its weights: expected"),
+        (((-np.ones(3), np.zeros((3, 3))), good[1]), r"^problem 1: source: its weights: one is -1"),
         ((good[0], (np.ones(2), np.zeros((2, 2)))), r"^problem 1: source has points in 3 dim"),
         (((2 * good[0][0], good[0][1]), good[1]), r"^problem 1: the masses .* differ"),
         (((good[0][0], 1e6 * good[0][1]), good[1]), r"^problem 1: blur=1e-05 is too small"),
@@ -303,7 +306,7 @@ def test_errors_name_the_problem(rng):
         clmorph.sinkhorn_batch([good[0]] * 2, [good[1]], backend="numpy")
     weights = np.ones((3, 4))
     weights[1, 2] = np.nan
-    with pytest.raises(InputError, match=r"targets\[1\]: its weights: expected masses"):
+    with pytest.raises(InputError, match=r"targets\[1\]: its weights: one is nan; expected masses"):
         clmorph.sinkhorn_batch(
             (np.ones((3, 4)), np.ones((3, 4))), (weights, np.ones((3, 4))), backend="numpy"
         )
@@ -406,6 +409,12 @@ def test_self_terms_are_solved_once(monkeypatch, rng):
     assert matrix.values[1, 4] == matrix.low[1, 4] == 0
     assert np.count_nonzero(matrix.values) == 18
     assert repr(matrix) == "<DivergenceMatrix of 5 measures, all converged>"
+    for wrong, words in (
+        (lambda: list(matrix), "expected two, as in"),
+        (lambda: matrix[0, :], "whole"),
+    ):
+        with pytest.raises(TypeError, match=words):
+            wrong()
 
 
 def test_what_has_no_divergence(rng):

@@ -1,5 +1,7 @@
 """Gradients in closed form, against central differences of dense solves in float64."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plain import reference
@@ -117,6 +119,15 @@ def test_no_gradient_of_other_problems(rng):
     solved = clmorph.sinkhorn(*pair, 0.2, 0.5, backend="numpy")
     with pytest.raises(InputError, match="other measures"):
         clmorph.gradient(pair[0], (pair[1][0], pair[1][1] + 1), solved, backend="numpy")
+    # Neither their interval nor a second derivative would be true.
+    moved, change = (pair[0][0], pair[0][1] + 0.3), (*pair[0][::-1], *pair[1][::-1])
+    divergence = clmorph.sinkhorn_divergence(*pair, 0.2, 0.5, backend="numpy", cross=solved)
+    for known in (solved, replace(solved, measures=None, passes=None)):
+        with pytest.raises(InputError, match="other measures"):
+            clmorph.sinkhorn_divergence(moved, pair[1], 0.2, 0.5, backend="numpy", cross=known)
+    for known in (solved, divergence):
+        with pytest.raises(InputError, match="solved: potentials are of other measures"):
+            clmorph.hessian_product(moved, pair[1], known, clmorph.Gradient(*change))
     with pytest.raises(InputError, match="gradient='yes'"):
         clmorph.sinkhorn_divergence(*pair, 0.2, 0.5, backend="numpy", gradient="yes")
     metric = np.tile(np.eye(3), (3, 3, 1, 1))

@@ -152,6 +152,16 @@ def test_other_regularization_of_own_is_refused(rng):
             solved.map(source.points, own=own, backend="numpy")
 
 
+def test_own_of_other_measures_is_refused(rng):
+    source, target = measures(rng, 2, m=30)
+    solved = clmorph.sinkhorn(source, target, 0.1, backend="numpy")
+    moved = replace(source, points=source.points + 5)
+    for pair in ((moved, moved), (source, target)):
+        own = clmorph.sinkhorn(*pair, 0.1, backend="numpy")
+        with pytest.raises(InputError, match="own: potentials are of other measures"):
+            solved.map(source.points, own=own, backend="numpy")
+
+
 def test_unknown_measures_are_named(rng):
     pair = measures(rng, 2)
     batch = clmorph.sinkhorn_batch([pair[0]], [pair[1]], blur=0.1, backend="numpy")

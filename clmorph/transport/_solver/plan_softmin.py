@@ -10,7 +10,7 @@ from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.records import LastPasses, NearPairs
 from clmorph.errors import InputError
 from clmorph.measures.grid import are_grids
-from clmorph.measures.points import Pair, corners_of
+from clmorph.measures.points import Pair, are_equal, corners_of
 from clmorph.transport._solver.grid_softmin import GridSoftmin
 from clmorph.transport._solver.problem import largest_cost, upload_both
 from clmorph.transport._solver.softmin import Softmin, check_finite
@@ -86,16 +86,9 @@ class RowsOfPlan:
 
     def checked(self) -> "RowsOfPlan":
         """Raise an `InputError` if potentials are those of other measures."""
-        own, mass, truncation = self.potentials, self.mass, self.potentials.truncation or 0.0
-        nats = 4.0 * self.rounding + 2.0 * own.truncation_error + truncation
-        most = FOREIGN + np.expm1(min(nats, 100.0))
-        most *= max(float(own.row_mass.sum()), float(mass.sum()))
-        if not float(np.abs(mass - own.row_mass).sum()) <= most:
-            raise InputError(
-                "potentials are of other measures: the plan of these has other marginals than "
-                "potentials.row_mass; expected the measures that they were computed for, in the "
-                "same order"
-            )
+        own = self.potentials
+        nats = 4.0 * self.rounding + 2.0 * own.truncation_error + (own.truncation or 0.0)
+        check_marginal("potentials", own.row_mass, self.mass, nats)
         return self
 
     def swapped(self) -> "RowsOfPlan":
@@ -126,6 +119,17 @@ class RowsOfPlan:
         return Sent(potential, np.exp(np.minimum(-potential * inverse, MAX_EXPONENT)), mean)
 
 
+def check_marginal(name: str, told: Array, mass: Array, nats: float) -> None:
+    """Raise an `InputError` if a plan's marginal (N,) is not that which potentials tell."""
+    most = FOREIGN + np.expm1(min(nats, 100.0))
+    if not float(np.abs(mass - told).sum()) <= most * max(float(told.sum()), float(mass.sum())):
+        raise InputError(
+            f"{name} are of other measures: the plan of these has other marginals than "
+            "potentials.row_mass; expected the measures that they were computed for, in the "
+            "same order"
+        )
+
+
 def _passes(operations: Operations, pair: Pair, potentials: Potentials) -> LastPasses | None:
     """Return what the solve of these measures has left on this backend, if anything."""
     passes, own = potentials.passes, potentials.measures
@@ -133,13 +137,7 @@ def _passes(operations: Operations, pair: Pair, potentials: Potentials) -> LastP
         return None
     if passes.potentials[0] is not potentials.f or passes.potentials[1] is not potentials.g:
         return None
-    names = "weights", "points", "offsets"
-    same = all(
-        np.array_equal(getattr(one, name), getattr(other, name))
-        for one, other in zip(pair, own, strict=True)
-        for name in names
-    )
-    return passes if same else None
+    return passes if all(map(are_equal, pair, own)) else None
 
 
 def uploaded_pair(operations: Operations, pair: Pair) -> tuple[Any, Any]:

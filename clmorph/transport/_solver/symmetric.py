@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray, Progress
-from clmorph.measures.grid import Grid
-from clmorph.measures.points import AnyMeasure, Pair
+from clmorph.measures.points import Pair, are_equal
 from clmorph.transport._solver.batch import some
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
@@ -27,16 +26,6 @@ def is_symmetric(pair: Pair, rho: tuple[float, float]) -> bool:
         and target.offsets is None
         and are_equal(source, target)
     )
-
-
-def are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
-    """Return whether two measures have the same points and the same weights."""
-    if isinstance(source, Grid) and isinstance(target, Grid):
-        pairs = zip(source.axes, target.axes, strict=True)
-        places = source is target or all(np.array_equal(*axes) for axes in pairs)
-    else:
-        places = np.array_equal(source.points, target.points)
-    return places and np.array_equal(source.weights, target.weights)
 
 
 class SymmetricSteps(Steps):
