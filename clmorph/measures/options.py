@@ -33,8 +33,8 @@ class LiftOptions(Options):
     )  # fmt: skip
     mass: Mass = option(
         "uniform", choice(Mass),
-        "Mass of a pixel: the same for all, its luminance, or its opacity alone, each multiplied "
-        "by opacity; or the same for all before a transparent or flat background (foreground).",
+        "Mass of a pixel: the same for all, or its luminance, both times opacity; its opacity "
+        "alone (alpha); or the same for all before a transparent or flat background (foreground).",
         "Transport", word="",
     )  # fmt: skip
     extent: Extent = option(

@@ -69,8 +69,8 @@ class BudgetOptions(Options):
     solve_size: int | None = option(
         64, integer(2, 1 << 16),
         "Solve the transport between square blocks of pixels, at most this number along the "
-        "longer side, and draw with pixels. A block has 1, 2, 4, ... pixels along a side, so that "
-        "there can be fewer. none: solve between pixels. The default is 128 for particles, cells, "
+        "longer side, and draw with pixels. The side of a block is 1, 2, 4, ... pixels, so there "
+        "may be fewer blocks. none: solve between pixels. The default is 128 for particles, cells, "
         "sprites and drawings.",
         "Transport", unit="blocks",
     )  # fmt: skip

@@ -51,7 +51,7 @@ def hessian_product(
     solved : Potentials or Divergence
         Of `clmorph.sinkhorn`, for the second derivatives of the transport value (see
         `clmorph.gradient`), or of `clmorph.sinkhorn_divergence`, for those of the divergence. The
-        error is of the size of its residual: a `tol` of 1e-9 with NumPy gives seven digits.
+        error is of the size of its residual: a `tol` of 1e-9 with NumPy gives six digits.
     direction : Gradient
         Changes of points and weights of both measures. In balanced transport both changes of the
         mass must be equal.
