@@ -104,14 +104,9 @@ def test_what_decides(capfd):
     Path("x.toml").write_text('preset = "paper"\nblur = 0.07\nframes = 9\nsplatting = "none"\n')
     assert dumped(capfd)["blur"] == MorphOptions().blur
     found = dumped(capfd, "--config", "x.toml")
-    assert found["blur"] == 0.07
-    assert found["frames"] == 9
-    assert found["extent"] == "unit"
-    assert found["gamma"] == "none"
+    assert found == found | {"blur": 0.07, "frames": 9, "extent": "unit", "gamma": "none"}
     found = dumped(capfd, "--config", "x.toml", "--preset", "balanced", "--frames", "4")
-    assert found["blur"] == MorphOptions().blur
-    assert found["reach"] == "balanced"
-    assert found["frames"] == 4
+    assert found == found | {"blur": MorphOptions().blur, "reach": "balanced", "frames": 4}
     assert dumped(capfd, "--config", "x.toml", "--epsilon", "0.01").keys().isdisjoint({"blur"})
 
 
