@@ -376,11 +376,15 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20261121)
 
 
-def found_anew() -> tuple[Device, ...]:
-    """Find all devices as a new process would."""
+def forget_devices() -> None:
+    """Know as much of devices as a new process."""
     verdicts._known.clear()
     tried.cache_clear()
     find_devices.cache_clear()
+
+
+def found_anew() -> tuple[Device, ...]:
+    forget_devices()
     return find_devices()
 
 
@@ -388,20 +392,21 @@ def found_anew() -> tuple[Device, ...]:
 def fresh_search() -> Iterator[None]:
     """Let what a test finds, and verdicts that it fakes, be forgotten before and after it."""
     kept = verdicts._known.copy()
-
-    def forget() -> None:
-        tried.cache_clear()
-        find_devices.cache_clear()
-        verdicts._known.clear()
-
-    forget()
+    forget_devices()
     yield
-    forget()
+    forget_devices()
     verdicts._known.update(kept)
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, fresh_search: None) -> list[str]:
+def empty_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """The test's own folder in place of the user's cache."""
+    monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch, empty_cache: Path, fresh_search: None) -> list[str]:
     """Indexes of the devices probed, in an empty cache; every probe is content."""
     probed: list[str] = []
 
@@ -410,6 +415,5 @@ def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, fresh_search: None) -
             probed.append(index)
         return verdicts.Verdict(pairs_per_second=1.0)
 
-    monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
     monkeypatch.setattr("clmorph.backends.opencl.devices.find.run_probe", probe)
     return probed

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyopencl as cl
 import pytest
-from conftest import TESTED, USABLE, found_anew
+from conftest import USABLE, forget_devices, found_anew
 
 import clmorph
 from clmorph import DeviceError, InputError
@@ -23,7 +23,7 @@ from clmorph.backends.opencl.build.variants import Variant, all_variants
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import runtimes, verdicts
-from clmorph.backends.opencl.devices.find import choose_device, find_devices, run_probe
+from clmorph.backends.opencl.devices.find import choose_device, find_devices
 from clmorph.backends.opencl.devices.quirks import find_quirks
 from clmorph.backends.opencl.verification.table import first_failure
 from clmorph.reference import NumPyOperations
@@ -62,9 +62,7 @@ def pretend(monkeypatch, tmp_path, fresh_search):
             reason = "its driver crashed" if index in bad else ""
             return verdicts.Verdict(reason, pairs_per_second=1.0)
 
-        devices.tried.cache_clear()
-        devices.find_devices.cache_clear()
-        verdicts._known.clear()
+        forget_devices()
         asked.clear()
         folder = tmp_path / str(len(list(tmp_path.iterdir())))
         folder.mkdir()
@@ -110,16 +108,13 @@ def test_the_order_is_what_devices_announce(pretend):
     assert chosen() is twins[0]
 
 
-def test_no_measured_speed_decides(pretend, monkeypatch):
-    slow, fast = handle(platform=INTEL), handle(platform=POCL)
-    pretend(fast, slow)
-    find_devices()  # as clmorph devices does
-    assert chosen() is slow
-
-
 def test_recorded_speeds_order_gpus_of_several_models(pretend, monkeypatch):
-    """More lanes at a higher clock may be slower; near speeds, and twins, stay in their order."""
+    """More lanes at a higher clock may be slower; near speeds, and twins, stay in their order.
+
+    So do processors, of which no speed decides.
+    """
     speeds = {"Arc": 2e11, "RTX": 1.3e12, "RTX Ti": 1.4e12, "Iris": 9e12, "broken": 0.0}
+    speeds |= {"slow": 1e8, "fast": 1e11}
 
     def gpu(name, units, **more):
         return handle(name, kind="GPU", max_compute_units=units, **more)
@@ -140,6 +135,12 @@ def test_recorded_speeds_order_gpus_of_several_models(pretend, monkeypatch):
     asked = pretend(order[2], order[2])
     assert chosen() is order[2]
     assert asked == ["0:0"]  # twins need no measurement
+    slow, fast = handle("slow", INTEL), handle("fast", POCL)
+    pretend(fast, slow)
+    probe = devices.run_probe
+    monkeypatch.setattr(devices, "run_probe", measured)
+    find_devices()  # as clmorph devices does
+    assert chosen() is slow
 
 
 def test_apples_processor_gets_work_groups_of_one():
@@ -213,9 +214,8 @@ def test_by_index_and_by_name(pretend):
 
 
 def test_unusable_devices_are_never_chosen(pretend):
-    bad, good = handle(platform=INTEL), handle()
-    pretend(bad, good, broken=[bad])
-    assert chosen() is good
+    bad = handle(platform=INTEL)
+    pretend(bad, handle(), broken=[bad])
     with pytest.raises(DeviceError, match="its driver crashed"):
         choose_device("0:0")
     pretend(bad, broken=[bad])
@@ -299,13 +299,6 @@ def test_pyopencl_no_cache_without_a_truth_value(monkeypatch, value):
 
 
 @pytest.mark.needs_device
-def test_the_probe_finds_a_working_device():
-    verdict = run_probe(TESTED[0].index)
-    assert not verdict.reason
-    assert verdict.pairs_per_second > 1e6
-
-
-@pytest.mark.needs_device
 def test_verdicts_are_remembered(monkeypatch, tmp_path, asked):
     first = found_anew()
     assert asked == [device.index for device in first]
@@ -317,12 +310,6 @@ def test_verdicts_are_remembered(monkeypatch, tmp_path, asked):
     found_anew()
     assert len(asked) == 2 * len(first)
     assert len(list((tmp_path / "devices").iterdir())) == 2 * records
-
-
-def test_every_listed_device_has_a_verdict():
-    for device in find_devices():
-        assert device.usable == (not device.reason)
-        assert "\n" not in str(device)
 
 
 @pytest.mark.skipif(runtimes.intel_runtime() is None, reason="Intel's runtime is not installed")
@@ -407,20 +394,14 @@ def test_too_many_points(device):
         device.upload(np.broadcast_to(0.0, (1 << 25, 5)), np.broadcast_to(1.0, 1 << 25))
 
 
-@pytest.fixture
-def empty_cache(monkeypatch, tmp_path):
-    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
-    monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
-    return tmp_path / "kernels"
-
-
 @pytest.mark.full
 def test_builds_are_kept_and_damage_is_survived(device, empty_cache, monkeypatch):
+    monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
+    kept = empty_cache / "kernels"
     constants = Variant("log_sum_exp.cl", 5).macros(device.constants)
     program.build(device.context, "log_sum_exp.cl", constants)
-    (file,) = empty_cache.iterdir()
-    whole = file.read_bytes()
-
+    (file,) = kept.iterdir()
+    whole, name = file.read_bytes(), f"kernels/{file.name}"
     # A kept build needs no source.
     with monkeypatch.context() as patch:
         patch.setattr(program, "_from_source", None)
@@ -428,19 +409,17 @@ def test_builds_are_kept_and_damage_is_survived(device, empty_cache, monkeypatch
     for damaged in (b"", whole[:20], whole[:-1], whole[:-1] + b"x", b"x" * 1000):
         file.write_bytes(damaged)
         program.build(device.context, "log_sum_exp.cl", constants)
-        kept = file.read_bytes()
-        assert kept[:32] == program._digest(f"kernels/{file.name}", kept[32:])
+        again = file.read_bytes()
+        assert again[:32] == program._digest(name, again[32:])
     # A driver that refuses the binary: whole by its digest, but no program.
-    name = f"kernels/{file.name}"
     file.write_bytes(program._digest(name, b"not a program") + b"not a program")
     built = program.build(device.context, "log_sum_exp.cl", constants)
     assert "log_sum_exp" in built.get_info(cl.program_info.KERNEL_NAMES)
     # Other constants, another file.
     macros = Variant("log_sum_exp.cl", 3).macros(device.constants)
     program.build(device.context, "log_sum_exp.cl", macros)
-    assert len(list(empty_cache.iterdir())) == 2
     # One under the other's name is not taken for it.
-    (other,) = set(empty_cache.iterdir()) - {file}
+    (other,) = set(kept.iterdir()) - {file}
     shutil.copy(other, file)
     built = program.build(device.context, "log_sum_exp.cl", constants)
     assert file.read_bytes() != other.read_bytes()

@@ -11,6 +11,7 @@ import weakref
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import host_program as example
 import numpy as np
@@ -20,6 +21,7 @@ import pytest
 from api_values import OnlyDLPack
 from conftest import USABLE
 from count_transfers import COPIES, TransferCount
+from several import parts_of
 
 import clmorph
 from clmorph import InputError
@@ -120,16 +122,14 @@ def test_other_kinds_of_queues(clouds, expected, context, device, wanted):
     assert np.array_equal(frame, clmorph.morph(*pictures, n_frames=3, backend=device).frame(0.4))
 
 
-def halves(device):
-    """Return two sub-devices, or skip where the device has no parts."""
-    equally = cl.device_partition_property.EQUALLY
-    if equally not in device.device.partition_properties:
-        pytest.skip("the device has no sub-devices")
-    return device.device.create_sub_devices([equally, 1])[:2]
+@pytest.fixture
+def parts(device):
+    """Two sub-devices, or one."""
+    return parts_of(device.device) or pytest.skip("the device has no sub-devices")
 
 
-def test_sub_devices(clouds, expected, device):
-    part = halves(device)[0]
+def test_sub_devices(clouds, expected, parts):
+    part = parts[0]
     operations = clmorph.get_backend(part)
     assert operations.queue.device == operations.device == part
     assert part.max_compute_units == 1
@@ -138,7 +138,7 @@ def test_sub_devices(clouds, expected, device):
 
 
 def test_the_operations_of_a_sub_device_end_with_it(device, context):
-    part = halves(device)[0]
+    (part, *_) = parts_of(device.device) or pytest.skip("the device has no sub-devices")
     made = weakref.ref(clmorph.get_backend(part))
     assert made() is clmorph.get_backend(part)
     del part
@@ -148,8 +148,7 @@ def test_the_operations_of_a_sub_device_end_with_it(device, context):
     assert made() is None
 
 
-def test_a_context_of_several_devices(clouds, expected, device):
-    parts = halves(device)
+def test_a_context_of_several_devices(clouds, expected, parts):
     if len(parts) < 2:
         pytest.skip("the device has one part only")
     context = cl.Context(parts)
@@ -435,15 +434,12 @@ def test_arrays_that_cannot_be_read(context, queue, device):
 # --- other arrays ------------------------------------------------------------------------------
 
 
-class OnlyInterface:
+def only_interface(values):
     """An array of another library, which has nothing but NumPy's interface."""
-
-    def __init__(self, values):
-        self.values = values
-        self.__array_interface__ = values.__array_interface__
+    return SimpleNamespace(values=values, __array_interface__=values.__array_interface__)
 
 
-@pytest.mark.parametrize("wrapped", [OnlyDLPack, OnlyInterface])
+@pytest.mark.parametrize("wrapped", [OnlyDLPack, only_interface])
 @pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "u1", "?"])
 def test_protocols(rng, wrapped, dtype):
     values = (2 * rng.random((6, 4))).astype(dtype)
@@ -457,7 +453,7 @@ def test_protocols(rng, wrapped, dtype):
 def test_protocols_are_taken_where_arrays_are(clouds, rng):
     expected = solved(clouds, "numpy")
     picture = rng.random((5, 4, 3))
-    for wrapped in (OnlyDLPack, OnlyInterface):
+    for wrapped in (OnlyDLPack, only_interface):
         given = [tuple(map(wrapped, cloud)) for cloud in clouds]
         assert np.array_equal(solved(given, "numpy").f, expected.f)
         assert np.array_equal(clmorph.fit(wrapped(picture), 3), clmorph.fit(picture, 3))

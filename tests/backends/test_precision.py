@@ -114,16 +114,6 @@ def test_a_tolerance_below_rounding_is_answered_so(device, precision, tol):
     assert true_residual((source, target), got) < 1e-3
 
 
-class Card:
-    """A device of another type."""
-
-    def __init__(self, device):
-        self._device, self.type = device, cl.device_type.GPU
-
-    def __getattr__(self, name):
-        return getattr(self._device, name)
-
-
 @pytest.mark.parametrize("factor", [1 / 32, 1.0, 1.1, 2.0])
 def test_float64_is_for_cards_on_which_it_is_fast(device, monkeypatch, factor):
     """By rates of sums with precise exponents; those of the pairs are `factor` times as high."""
@@ -137,7 +127,9 @@ def test_float64_is_for_cards_on_which_it_is_fast(device, monkeypatch, factor):
     monkeypatch.setattr(probe, "precise_rate", rate)
     wanted = choose_constants(device.device)
     monkeypatch.setattr(probe, "choose_constants", lambda _: replace(wanted, precise=2))
-    made = probe._with_faster_exponents(Card(device.device))
+    with monkeypatch.context() as patch:
+        patch.setattr(cl.Device, "type", property(lambda _: cl.device_type.GPU))
+        made = probe._with_faster_exponents(device.device)
     assert made == replace(wanted, precise=1 if factor > 1.2 else 2)
     assert sorted(rated) == [1, 2]
     assert probe._with_faster_exponents(device.device).precise == 2
@@ -148,9 +140,8 @@ def test_rates_with_precise_exponents_are_measured(device):
     assert 1e3 < probe.precise_rate(device.device, device.constants) < 1e13
 
 
-def test_slow_float64_is_remembered(device, monkeypatch, tmp_path):
+def test_slow_float64_is_remembered(device, empty_cache):
     """With the verdict, which a forgotten one takes along; iterations remain the device's."""
-    monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
     if not device.has_float64:
         pytest.skip("it has no float64")
     key = verdict_key(device.device)

@@ -104,7 +104,7 @@ def test_a_child_of_the_probe_does_not_hold_its_trial_up(monkeypatch, tmp_path, 
 
 
 @pytest.mark.needs_device
-def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path, fresh_search):
+def test_an_interrupted_trial_is_not_remembered(monkeypatch, empty_cache, fresh_search):
     closed = []
 
     def interrupted(command, seconds, reading):
@@ -112,11 +112,10 @@ def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path, fresh_sea
         raise KeyboardInterrupt
 
     monkeypatch.setattr(trial, "_run", interrupted)
-    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
     for _ in range(2):  # the lock is free again
         with pytest.raises(KeyboardInterrupt):
             find_devices()
-    assert list(tmp_path.iterdir()) == []
+    assert list(empty_cache.iterdir()) == []
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(closed[-1])
 
@@ -152,9 +151,8 @@ def test_an_interpreter_that_is_gone_is_a_reason(monkeypatch, tmp_path):
     assert "No such file" in trial.run_probe("0:0").reason
 
 
-@pytest.mark.full
 @pytest.mark.needs_device
-def test_the_probe_stands_any_environment(monkeypatch, tmp_path):
+def test_the_probe_finds_a_working_device_in_any_environment(monkeypatch, tmp_path):
     """Modules of the current folder, warnings as errors and the like are not the driver's."""
     for name in ("json.py", "numpy.py", "contextlib.py"):
         (tmp_path / name).write_text("raise RuntimeError('not meant')")
@@ -167,6 +165,7 @@ def test_the_probe_stands_any_environment(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "path", ["", ".", *sys.path])
     verdict = trial.run_probe(TESTED[0].index)
     assert verdict.reason == ""
+    assert verdict.pairs_per_second > 1e6
 
 
 def test_numpy_has_one_thread_in_the_probe(monkeypatch):
@@ -317,17 +316,16 @@ def test_a_relative_cache_folder_is_ignored(monkeypatch, tmp_path):
     assert not (tmp_path / "cache").exists()
 
 
-def test_what_killed_writers_leave_is_removed(monkeypatch, tmp_path):
-    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
+def test_what_killed_writers_leave_is_removed(empty_cache):
     with subprocess.Popen([sys.executable, "-c", ""]) as gone:
         pass
     for number in (gone.pid, os.getpid()):
         name = own_prefix().replace(str(os.getpid()), str(number), 1) + "abcdefgh"
-        (tmp_path / "kernels" / name).mkdir(parents=True)
+        (empty_cache / "kernels" / name).mkdir(parents=True)
     storage.write_cached("kernels/a.bin", b"a")
-    assert sorted(path.name for path in (tmp_path / "kernels").iterdir()) == [name, "a.bin"]
+    assert sorted(path.name for path in (empty_cache / "kernels").iterdir()) == [name, "a.bin"]
     storage.forget_cached("kernels")
-    assert [path.name for path in (tmp_path / "kernels").iterdir()] == [name]
+    assert [path.name for path in (empty_cache / "kernels").iterdir()] == [name]
 
 
 def test_pyopencls_own_cache_may_fail(device, monkeypatch):

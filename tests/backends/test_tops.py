@@ -29,24 +29,18 @@ def with_source(monkeypatch, change):
     monkeypatch.setenv("PYOPENCL_NO_CACHE", "1")
 
 
-def nasty_clouds(dimension):
-    """Clusters far apart, equal points, masses of 12 decades, and tiles without any."""
-    rng = np.random.default_rng(dimension)
+@pytest.mark.parametrize("blur", [0.005, 0.05, 2.0])
+@pytest.mark.parametrize("dimension", [1, 5])
+def test_sums_have_the_bits_of_those_with_a_running_maximum(
+    each_device, monkeypatch, rng, dimension, blur
+):
+    """Of clusters far apart, equal points, masses of 12 decades, and tiles without any."""
     places = rng.random((12, dimension))
     points = np.repeat(places, 60, axis=0) + 0.02 * rng.normal(size=(720, dimension))
     points[:200] = points[0]
     others = np.concatenate((rng.random((500, dimension)), points[-333:]))
     masses = 10 ** rng.uniform(-12, 0, len(others))
     masses[64:192] = 0
-    return points, others, masses, rng
-
-
-@pytest.mark.parametrize("blur", [0.005, 0.05, 2.0])
-@pytest.mark.parametrize("dimension", [1, 5])
-def test_sums_have_the_bits_of_those_with_a_running_maximum(
-    each_device, monkeypatch, dimension, blur
-):
-    points, others, masses, rng = nasty_clouds(dimension)
     g = 10 * blur**2 * rng.normal(size=len(others))
     g[::50] += 0.5  # tiles that raise the maximum by far stand among others
 

@@ -13,6 +13,7 @@ import pyopencl as cl
 import pytest
 from conftest import TESTED
 from planted import FAULTS, Fault
+from several import parts_of
 
 from clmorph import DeviceError, morph
 from clmorph.backends.opencl import probe
@@ -45,16 +46,15 @@ pytestmark = pytest.mark.needs_device
 
 
 @pytest.fixture
-def empty(monkeypatch, tmp_path, fresh_search):
+def empty(empty_cache, fresh_search):
     """An empty cache, and no knowledge in this process."""
-    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
-    return tmp_path
+    return empty_cache
 
 
 # --- planted faults -----------------------------------------------------------------------
 
 
-def test_every_kernel_of_every_file_has_a_fault():
+def test_every_kernel_has_a_fault_and_every_file_a_variant():
     found = set()
     for entry in resources.files("clmorph.cl_kernels").iterdir():
         if entry.name.endswith(".cl"):
@@ -62,6 +62,8 @@ def test_every_kernel_of_every_file_has_a_fault():
             found |= {(entry.name, kernel) for kernel in kernels}
     assert {(fault.file, fault.kernel) for fault in FAULTS} == found
     assert {(file, kernel) for file, of in KERNELS.items() for kernel in of} == found
+    assert {variant.file for variant in VARIANTS} == set(KERNELS)
+    assert set(usual_variants() + further_variants()) <= set(VARIANTS)
 
 
 def failure_of(fault, variant):
@@ -128,11 +130,6 @@ def test_the_probe_refuses_a_device_with_a_wrong_kernel(empty, monkeypatch, faul
 
 
 # --- quirks -----------------------------------------------------------------------------------
-
-
-def test_the_variants_are_of_every_file():
-    assert {variant.file for variant in VARIANTS} == set(KERNELS)
-    assert set(usual_variants() + further_variants()) <= set(VARIANTS)
 
 
 #: Programs that few tests use otherwise are compared on every device.
@@ -222,6 +219,14 @@ def of_device(device):
     return verdicts.load(verdicts.verdict_key(device.device))
 
 
+def refused(device, words, variant=OTHER, **options):
+    """Return why a program cannot be used, which is told in one line."""
+    with pytest.raises(DeviceError, match=words) as caught:
+        made(device, **options).verify(variant)
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
 def checking(monkeypatch, folder, lines, body=""):
     """Let a script stand for the process of a check: it prints lines, and then runs a body."""
     script = folder / "check.py"
@@ -271,15 +276,11 @@ def test_a_wrong_program_makes_the_device_unusable(one, empty, monkeypatch):
     reason = f"{WRONG}{OTHER}: softmin is off by 1 nats (tolerance 0.1)"
     verdicts.save(key_of(one), Verdict(reason))
     # Constants that somebody tries say nothing of those that are chosen.
-    with pytest.raises(DeviceError, match="softmin is off"):
-        made(one, chosen=False).verify(OTHER)
+    refused(one, "softmin is off", chosen=False)
     assert of_device(one) is None
     before = verdicts.refusals()
-    with pytest.raises(DeviceError, match="softmin is off") as caught:
-        made(one).verify(OTHER)
-    for words in (device.name, "choose another device", "--device"):
-        assert words in str(caught.value)
-    assert "\n" not in str(caught.value)
+    told = str(refused(one, "softmin is off"))
+    assert all(words in told for words in (device.name, "choose another device", "--device"))
     assert verdicts.refusals() == before + 1
     monkeypatch.setattr(devices, "run_probe", None)  # nothing is tried again
     for _ in range(2):
@@ -302,20 +303,18 @@ def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, wor
     checking(monkeypatch, empty, [LOADED, f"{BEGUN} {key_of(one, built)} {built}"], body)
     # On a busy machine Python may take seconds to start.
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "5" if "sleep" in body else "60")
-    refused = lasting and not built.is_optional
+    counts = lasting and not built.is_optional
     for _ in range(2):
-        with pytest.raises(DeviceError, match=words) as caught:
-            made(one).verify(built)
-        assert isinstance(caught.value, ProgramError) is not refused
-        assert built.file in str(caught.value)
-        assert "\n" not in str(caught.value)
+        told = refused(one, words, built)
+        assert isinstance(told, ProgramError) is not counts
+        assert built.file in str(told)
         monkeypatch.setattr(trial, "_run", None)  # this process asks no second time
     assert (empty / "verified").exists() == lasting
     verdicts._known.clear()
     assert bool(verdicts.load(key_of(one, built))) == lasting
     # A check that ends without evidence refuses the program alone, and for this process alone.
-    assert (of_device(one) is not None) == refused
-    assert not refused or of_device(one).reason
+    assert (of_device(one) is not None) == counts
+    assert not counts or of_device(one).reason
 
 
 @pytest.mark.parametrize("status", [-6, None, 3])
@@ -377,10 +376,7 @@ def test_an_update_while_a_process_runs_is_told(one, empty, monkeypatch):
     with monkeypatch.context() as patch:
         fine = f"{trial.VERDICT} {json.dumps(asdict(WORKS))}"
         checking(patch, empty, [LOADED, f"{BEGUN} verified/new {OTHER}", f'{ENDED} ""', fine])
-        with pytest.raises(
-            DeviceError, match=r"was perhaps updated while this process ran; start it"
-        ):
-            made(one).verify(OTHER)
+        refused(one, "was perhaps updated while this process ran; start it")
     assert verdicts.load(key_of(one)) is None
 
 
@@ -394,8 +390,7 @@ def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):
             patch, empty, [LOADED, f"{BEGUN} {key_of(one)} {OTHER}"],
             f"{default}; os.kill(os.getpid(), signal.{signal})",
         )  # fmt: skip
-        with pytest.raises(DeviceError, match=r"was killed .*; try again"):
-            made(one).verify(OTHER)
+        refused(one, "was killed .*; try again")
     assert verdicts.load(key_of(one)) is None
     assert of_device(one) is None
     # On a busy machine a real check may take longer than the limit for users.
@@ -431,9 +426,7 @@ def test_a_refused_build_is_of_one_program_only(one, empty, monkeypatch):
     with monkeypatch.context() as patch:
         checking(patch, empty, lines)
         for _ in range(2):
-            with pytest.raises(DeviceError, match=r"cannot run this: .*dimension 3") as caught:
-                made(one).verify(OTHER)
-            assert "\n" not in str(caught.value)
+            refused(one, "cannot run this: .*dimension 3")
             verdicts._known.clear()
     assert verdicts.load(key_of(one)).reason == reason
     assert of_device(one) is None
@@ -447,8 +440,7 @@ def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
     ]  # fmt: skip
     checking(monkeypatch, empty, lines, "os.abort()")
     made(one).verify(PLAIN)
-    with pytest.raises(DeviceError, match=r"crashed .* plan_rows.cl \(dimension 3, precise\)"):
-        made(one).verify(OTHER)
+    refused(one, r"crashed .* plan_rows.cl \(dimension 3, precise\)")
 
 
 @pytest.mark.parametrize("reason", ["", f"{WRONG}x: größer \u2028 als 1"])
@@ -481,8 +473,7 @@ def test_where_no_process_can_be_started_programs_are_checked_here(
 ):
     """Without an interpreter, or for a device that OpenCL's loader does not list."""
     monkeypatch.setattr(module, name, lambda *_: None)
-    with pytest.raises(DeviceError, match="checked here"):
-        made(one, chosen=False).verify(OTHER)
+    refused(one, "checked here", chosen=False)
     assert requests == []
 
 
@@ -492,10 +483,7 @@ def test_no_process_that_verifies_starts_another(one, empty, monkeypatch):
 
 
 def test_a_part_of_a_device_is_verified_on_the_whole(one, requests):
-    equally = cl.device_partition_property.EQUALLY
-    if equally not in one.device.partition_properties:
-        pytest.skip("the device has no parts")
-    part = one.device.create_sub_devices([equally, 1])[0]
+    part = (parts_of(one.device) or pytest.skip("the device has no parts"))[0]
     assert devices.index_of(part) == TESTED[0].index
     made(one).verify(OTHER)
     Programs(cl.Context([part]), part, one.constants, lambda variant: "checked here").verify(OTHER)

@@ -10,10 +10,8 @@ from clmorph.backends.cancellation import Cancellation, Cancelled, check_cancell
 from clmorph.backends.threads import results_in_order
 
 
-def endless(started=None):
+def endless():
     """Work until it is cancelled; fails the test after ten seconds."""
-    if started is not None:
-        started.set()
     for _ in range(1000):
         check_cancelled()
         time.sleep(0.01)
@@ -44,19 +42,21 @@ def interrupt_after(started):
     return thread
 
 
-def threads_since(before):
-    """Return threads that were not there before; threads of other tests may end meanwhile."""
-    return set(threading.enumerate()) - before
+@pytest.fixture
+def no_thread_stays():
+    """Of those that the test starts; threads of other tests may end meanwhile."""
+    before = set(threading.enumerate())
+    yield
+    assert set(threading.enumerate()) <= before
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to threads")
-def test_ctrl_c_ends_results():
-    before, started = set(threading.enumerate()), threading.Event()
+def test_ctrl_c_ends_results(no_thread_stays):
+    started = threading.Event()
     thread = interrupt_after(started)
     with pytest.raises(KeyboardInterrupt):
         list(results_in_order([0, 1, 0, 1], lambda worker, number: endless(started)))
     thread.join()
-    assert not threads_since(before)
 
 
 def test_results_come_in_order():
@@ -86,22 +86,19 @@ def test_no_worker_runs_far_ahead():
 
 
 @pytest.mark.parametrize("failing", [0, 5])
-def test_a_failing_result_ends_all(failing):
+def test_a_failing_result_ends_all(failing, no_thread_stays):
     def work(worker, number):
         if number == failing:
             raise ValueError(f"result {number}")
         return number
 
-    before, taken = set(threading.enumerate()), []
+    taken = []
     with pytest.raises(ValueError, match=f"result {failing}"):
         taken.extend(results_in_order([0, 1, 2] * 3, work))
     assert taken == list(range(len(taken)))
     assert len(taken) <= failing
-    assert not threads_since(before)
 
 
-def test_a_consumer_that_leaves_ends_all():
-    before = set(threading.enumerate())
+def test_a_consumer_that_leaves_ends_all(no_thread_stays):
     for _ in results_in_order([0, 1] * 50, lambda worker, number: number):
         break
-    assert not threads_since(before)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drawn_pictures import logo
+from films import frames_of
 from marks import full
 from PIL import Image
 from scipy.ndimage import gaussian_filter
@@ -15,7 +16,6 @@ from scipy.ndimage import gaussian_filter
 import clmorph
 from clmorph.cli.main import main
 
-DATA = Path(__file__).parents[1] / "data"
 NOTE = (
     "note: --detail '{}' means --detail 'layers' now, and works until version 1.0: write 'layers'"
 )
@@ -25,7 +25,7 @@ NOTE = (
 def former(request, tmp_path, monkeypatch, rng):
     """A value of `detail` in 0.2.0, in a folder with a recipe of it, r.json, and two pictures."""
     monkeypatch.chdir(tmp_path)
-    shutil.copy(DATA / f"recipe_0.2.0_{request.param}.json", "r.json")
+    shutil.copy(Path(__file__).parents[1] / f"data/recipe_0.2.0_{request.param}.json", "r.json")
     noise = gaussian_filter(rng.normal(size=(2, 24, 32, 3)), (0, 2, 2, 0))
     pictures = np.clip(0.5 + 0.2 * noise / noise.std(), 0, 1)
     if request.param == "shapes":
@@ -45,8 +45,7 @@ def test_they_make_films(former, capfd):
     was = json.loads(Path("r.json").read_text())["options"]
     assert was["detail"] == former
     assert summary["options"] == was | {"detail": "layers"}
-    with Image.open("out.gif") as film:
-        assert film.n_frames == was["frames"]
+    assert len(frames_of("out.gif")) == was["frames"]
     # It is the film of that name, and its own recipe holds the new one.
     assert main(["morph", *given, "-o", "same.gif", "--detail", "layers"]) == 0
     capfd.readouterr()
@@ -54,12 +53,7 @@ def test_they_make_films(former, capfd):
     assert main(again) == 0
     assert "works until" not in capfd.readouterr().err
     assert Path("out.gif").read_bytes() == Path("again.gif").read_bytes()
-    frames = []
-    for name in ("out.gif", "same.gif"):
-        with Image.open(name) as film:
-            film.seek(1)
-            frames.append(np.asarray(film.convert("RGB")))
-    np.testing.assert_array_equal(*frames)
+    np.testing.assert_equal(frames_of("out.gif"), frames_of("same.gif"))
 
 
 def test_settings_and_python(former, capfd):

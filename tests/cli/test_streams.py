@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from films import frames_of
 from marks import full
 from PIL import Image
 from programs import COMMAND, program
@@ -39,17 +40,20 @@ def folder(tmp_path, monkeypatch, rng):
     assert list((tmp_path / "temporary").iterdir()) == []
 
 
-def run(*arguments, given=b"", **options):
-    """Run the command with pipes as its streams."""
-    return subprocess.run(
-        [COMMAND, *arguments], input=given, capture_output=True, check=False, **options
-    )
+def run(*command, given=b"", code=0):
+    """Run a program with pipes as its streams; it must end with a code."""
+    done = subprocess.run(command, input=given, capture_output=True, check=False)
+    assert done.returncode == code, done.stderr
+    return done
 
 
-def shell(line):
+def command(*arguments, **options):
+    return run(COMMAND, *arguments, **options)
+
+
+def shell(line, **options):
     """Run a line of a shell; `clmorph` is the command."""
-    line = line.replace("clmorph", f"'{COMMAND}'")
-    return subprocess.run(["bash", "-o", "pipefail", "-c", line], capture_output=True, check=False)
+    return run("bash", "-o", "pipefail", "-c", line.replace("clmorph", f"'{COMMAND}'"), **options)
 
 
 #: Formats that are piped by default, too; their writers differ most.
@@ -61,8 +65,7 @@ def test_the_bytes_of_a_file(name):
     """What a pipe gets is what a file of this format holds."""
     if name in ("mp4", "webm"):
         pytest.importorskip("av")
-    done = run(*MORPH, "-o", "-", "--format", name)
-    assert done.returncode == 0, done.stderr
+    done = command(*MORPH, "-o", "-", "--format", name)
     assert b"/dev/stdout: 3 frames" in done.stderr
     assert main([*MORPH, "-o", "file", "--format", name]) == 0
     assert done.stdout == Path("file").read_bytes()
@@ -83,9 +86,7 @@ def test_programs_read_films():
     for name, codec in (("mp4", "h264"), ("webm", "vp9")):
         for place in ("-", "/dev/stdout"):
             line = f"clmorph {' '.join(MORPH)} -o {place} --format {name} | {probe} -of json -"
-            done = shell(line)
-            assert done.returncode == 0, done.stderr
-            (stream,) = json.loads(done.stdout)["streams"]
+            (stream,) = json.loads(shell(line).stdout)["streams"]
             assert stream["codec_name"] == codec
             assert int(stream["nb_read_frames"]) >= 3
 
@@ -99,25 +100,21 @@ def test_every_command_pipes():
         (f"recolor {pictures} -o - --format tif", "TIFF"),
         (f"recolor {pictures} -o - --format jpg", "JPEG"),
     ):
-        done = run(*line.split())
-        assert done.returncode == 0, done.stderr
-        with Image.open(io.BytesIO(done.stdout)) as picture:
+        with Image.open(io.BytesIO(command(*line.split()).stdout)) as picture:
             assert picture.format == kind
             picture.load()
-    done = shell(
+    shell(
         "clmorph recolor a.png b.jpg --backend numpy -o - --format png"
         f" | clmorph morph - b.jpg -o - --format gif {' '.join(QUICK)} | clmorph inspect"
         " - b.jpg --backend numpy --size 8"
     )
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("name", ["-", *full("/dev/stdin")])
 def test_standard_input_is_read_like_a_file(name):
     assert main([*MORPH, "-o", "file.npz"]) == 0
     data = Path("a.png").read_bytes()
-    done = run("morph", name, "b.jpg", *QUICK, "-o", "x.npz", given=data)
-    assert done.returncode == 0, done.stderr
+    command("morph", name, "b.jpg", *QUICK, "-o", "x.npz", given=data)
     both = clmorph.load("x.npz").frames, clmorph.load("file.npz").frames
     assert all(map(np.array_equal, *both))
 
@@ -127,31 +124,26 @@ def test_files_of_a_shell_and_masks_are_read_like_a_file():
     with Path("a.png").open("rb") as file:  # of a file, too, in place of a pipe
         done = subprocess.run([COMMAND, "morph", "-", "b.jpg", *QUICK, "-o", "x.gif"], stdin=file)
     assert done.returncode == 0
-    done = shell(f"clmorph morph <(cat a.png) <(cat b.jpg) {' '.join(QUICK)} -o y.gif")
-    assert done.returncode == 0, done.stderr
+    shell(f"clmorph morph <(cat a.png) <(cat b.jpg) {' '.join(QUICK)} -o y.gif")
     Image.new("L", (20, 12), 255).save("mask.png")
     mask = Path("mask.png").read_bytes()
     arguments = ["recolor", "a.png", "b.jpg", "--backend", "numpy", "--mask"]
-    assert run(*arguments, "-", "-o", "m.png", given=mask).returncode == 0
+    command(*arguments, "-", "-o", "m.png", given=mask)
     assert main([*arguments, "mask.png", "-o", "n.png"]) == 0
     assert np.array_equal(clmorph.read_image("m.png"), clmorph.read_image("n.png"))
 
 
 def test_settings_from_standard_input():
     assert main([*MORPH, "-o", "x.gif"]) == 0
-    again = run("morph", "--config", "-", "-o", "y.gif", "--backend", "numpy",
-                given=Path("x.gif").read_bytes())  # fmt: skip
-    assert again.returncode == 0, again.stderr
-    with Image.open("x.gif") as one, Image.open("y.gif") as other:
-        assert one.size == other.size
-        assert one.n_frames == other.n_frames
+    given = Path("x.gif").read_bytes()
+    command("morph", "--config", "-", "-o", "y.gif", "--backend", "numpy", given=given)
+    assert Path("x.gif").read_bytes() == Path("y.gif").read_bytes()
 
 
 @pytest.mark.full
 def test_a_file_beside_it():
     """The format is that of standard output; a file that is named has its ending's."""
-    done = run(*MORPH, "-o", "-", "-o", "x.webp", "--format", "gif", "--json")
-    assert done.returncode == 0, done.stderr
+    done = command(*MORPH, "-o", "-", "-o", "x.webp", "--format", "gif", "--json")
     assert done.stdout.startswith(b"GIF89a")
     assert Path("x.webp").read_bytes()[8:12] == b"WEBP"
     told = json.loads(done.stderr.splitlines()[-1])
@@ -161,10 +153,7 @@ def test_a_file_beside_it():
 @pytest.mark.parametrize("place", ["-", *full("/dev/stdout", "/dev/fd/1")])
 def test_into_a_file_of_the_shell(place):
     """The file that the shell has opened is filled, and not replaced behind its back."""
-    done = shell(
-        f"( echo begin; clmorph {' '.join(MORPH)} -o {place} --format gif; echo end ) > all"
-    )
-    assert done.returncode == 0, done.stderr
+    shell(f"( echo begin; clmorph {' '.join(MORPH)} -o {place} --format gif; echo end ) > all")
     data = Path("all").read_bytes()
     assert data.startswith(b"begin\nGIF89a")
     assert data.endswith(b";end\n")
@@ -181,14 +170,12 @@ def test_a_reader_that_stops():
     assert done.stderr.splitlines()[-1] == b"0"
     assert b"error" not in done.stderr.lower()
     assert b"Traceback" not in done.stderr
-    with Image.open("x.gif") as picture:
-        assert picture.n_frames == 3
+    assert len(frames_of("x.gif")) == 3
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_leaves_no_file():
-    done = shell(f"clmorph {' '.join(MORPH)} -o - -o x.gif --format webp > /dev/full")
-    assert done.returncode == 2
+    done = shell(f"clmorph {' '.join(MORPH)} -o - -o x.gif --format webp > /dev/full", code=2)
     assert b"standard output cannot be written (No space left on device)" in done.stderr
     assert b"Traceback" not in done.stderr
     assert b"Exception" not in done.stderr
@@ -232,14 +219,13 @@ def test_mistakes(arguments, words, refused):
 
 
 def test_what_is_no_picture_or_empty_or_read_twice():
-    done = run("morph", "-", "b.jpg", "-o", "x.gif")
-    assert b"- is empty, or was read already" in done.stderr
-    done = run("morph", "-", "b.jpg", "-o", "x.gif", given=b"no picture")
-    assert done.returncode == 2
-    assert b"standard-input is not an image" in done.stderr
-    done = run("morph", "-", "-", "-o", "x.gif", given=Path("a.png").read_bytes())
-    assert done.returncode == 2
-    assert b"was read already" in done.stderr
+    for pictures, given, words in (
+        ("- b.jpg", b"", b"- is empty, or was read already"),
+        ("- b.jpg", b"no picture", b"standard-input is not an image"),
+        ("- -", Path("a.png").read_bytes(), b"was read already"),
+    ):
+        done = command("morph", *pictures.split(), "-o", "x.gif", given=given, code=2)
+        assert words in done.stderr
     assert not Path("x.gif").exists()
 
 
@@ -272,7 +258,4 @@ def test_from_python():
         "import numpy as np, clmorph; one, other = np.zeros((2, 6, 6, 3)); one[:3] = 1;"
         "clmorph.morph(one, other, n_frames=3, backend='numpy').save('/dev/stdout', format='gif')"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr
-    with Image.open(io.BytesIO(done.stdout)) as picture:
-        assert picture.n_frames == 3
+    assert len(frames_of(io.BytesIO(run(sys.executable, "-c", code).stdout))) == 3

@@ -23,6 +23,7 @@ def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
         assert len(lines) == 1, err
         assert lines[0].startswith("clmorph: error: ")
         assert lines[0].isprintable()
+        assert len(lines[0]) < 1200
         return lines[0]
 
     return run

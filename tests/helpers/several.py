@@ -8,15 +8,18 @@ from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
 
 
-def two_parts(handle):
-    """Return operations on two parts of a device, one compute unit each.
-
-    Where a driver has no parts, such as llvmpipe's, two backends share the device.
-    """
-    equally, parts = cl.device_partition_property.EQUALLY, []
+def parts_of(handle):
+    """Return two parts of a device, one compute unit each, or fewer where it has no more."""
+    equally = cl.device_partition_property.EQUALLY
     # Mesa 22.3 ends the process where parts are asked for that it does not have.
-    if equally in handle.partition_properties:
-        parts = handle.create_sub_devices([equally, 1])[:2]
+    if equally not in handle.partition_properties:
+        return []
+    return handle.create_sub_devices([equally, 1])[:2]
+
+
+def two_parts(handle):
+    """Return operations on two parts of a device, or twice on one without, such as llvmpipe."""
+    parts = parts_of(handle)
     if len(parts) < 2:
         parts = [handle, handle]
     return [OpenCLOperations(part, verify=False) for part in parts]

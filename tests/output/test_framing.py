@@ -93,10 +93,7 @@ def test_a_canvas_that_enlarges_all_frames_is_noted():
 @pytest.mark.parametrize("color", [(240, 236, 229), (200, 120, 60), (9, 30, 250)])
 @pytest.mark.parametrize("factor", [0.6, 2, 3.7])
 def test_figures_with_opacity_have_no_rim(color, factor):
-    """Overshoot of opacity was clipped and that of colors was not: (255, 255, 248) at the edge.
-
-    Nor do colors that are not seen bleed.
-    """
+    """Overshoot of opacity was clipped and that of colors was not; nor do hidden colors bleed."""
     y, x = np.mgrid[:40, :40]
     alpha = np.clip((14 - np.hypot(x - 19.5, y - 19.5)) + 0.5, 0, 1)
     frame = np.dstack((*(np.full((40, 40), each) for each in color), np.rint(255 * alpha)))

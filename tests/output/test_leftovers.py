@@ -26,7 +26,7 @@ from clmorph._shared import files, signals, staging
 from clmorph._shared.files import atomic_path, atomic_paths, check_place
 from clmorph._shared.staging import PREFIX, clear_leftovers
 from clmorph.cli.main import main
-from clmorph.errors import InputError, OutputError
+from clmorph.errors import OutputError
 from clmorph.output.recording import Spool
 from clmorph.output.save import FORMATS
 
@@ -701,13 +701,3 @@ def test_no_other_folder_is_needed(morph, monkeypatch):
     for name in ("x.gif", "x.webp", "x.npz", "x.tif", "x.html", "x.png", "frames", "x.mp4"):
         morph.save(name)
     assert not [name for name in names() if name.startswith(PREFIX)]
-
-
-def test_an_output_that_is_a_full_folder_is_refused_before_any_work(monkeypatch):
-    monkeypatch.setattr("clmorph.pipeline.morph.ImagePair.morph", None)
-    Path("frames").mkdir()
-    Path("frames/mine").write_text("kept")
-    assert run("-o", "frames") == 2
-    assert names("frames") == ["mine"]
-    with pytest.raises(InputError):
-        files.check_apart(["frames"], ["frames/mine"])

@@ -11,12 +11,10 @@ from clmorph import InputError
 from clmorph.output.options import Ease, PlaybackOptions
 from clmorph.output.playback import Motion, eased, held_frames, motion_of, whole_units
 
-EVEN = np.linspace(0, 1, 11)
-
 
 @pytest.mark.parametrize("ease", get_args(Ease))
 def test_easing_is_monotone_and_keeps_both_ends(ease):
-    times = eased(EVEN, ease)
+    times = eased(np.linspace(0, 1, 11), ease)
     assert times[0] == 0
     assert times[-1] == 1
     assert np.all(np.diff(times) > 0)

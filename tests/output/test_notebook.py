@@ -22,9 +22,8 @@ def shown(html):
     assert not re.search(r"https?://|<script", html)
     uri = root.find(".//img").get("src")
     assert uri.startswith("data:image/png;base64,")
-    with Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))) as picture:
-        pixels = np.asarray(picture.convert("RGB"))
-    return pixels, "".join(root.find(".//figcaption").itertext())
+    picture = Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2])))
+    return np.asarray(picture.convert("RGB")), "".join(root.find(".//figcaption").itertext())
 
 
 @pytest.fixture(scope="module")
@@ -128,8 +127,8 @@ def test_an_inspection_is_drawn_shown_and_saved(pair, tmp_path, monkeypatch):
     pixels, line = shown(found._repr_html_())
     found.save(tmp_path / "saved.png")
     assert plt.get_fignums() == open_before  # nothing is left to pyplot
-    with Image.open(tmp_path / "saved.png") as saved:
-        assert np.array_equal(pixels, np.asarray(saved.convert("RGB")))
+    saved = np.asarray(Image.open(tmp_path / "saved.png").convert("RGB"))
+    assert np.array_equal(pixels, saved)
     assert line == repr(found)[1:-1]
 
     # Ticks are drawn later, in the settings of then; all else is the same.

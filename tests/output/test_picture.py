@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import clmorph
 from clmorph.errors import InputError, OutputError
@@ -11,14 +10,11 @@ from clmorph.output.provenance import read_parameters
 PARAMETERS = {"clmorph": "1", "options": {"strength": 1.0}}
 
 
-def picture(channels=3):
-    return np.random.default_rng(0).integers(0, 256, (12, 17, channels), np.uint8)
-
-
 @pytest.mark.parametrize("channels", [3, 4])
 @pytest.mark.parametrize("ending", [".png", ".webp", ".tif", ".TIFF"])
-def test_pictures_come_back(tmp_path, ending, channels):
-    image, path = picture(channels), tmp_path / f"out{ending}"
+def test_pictures_come_back(tmp_path, rng, ending, channels):
+    path = tmp_path / f"out{ending}"
+    image = rng.integers(0, 256, (12, 17, channels), np.uint8)
     clmorph.write_image(path, image, parameters=PARAMETERS)
     np.testing.assert_array_equal(clmorph.read_image(path), image / 255)
     assert read_parameters(path) == PARAMETERS
@@ -44,8 +40,7 @@ def test_jpeg_is_near_and_lies_on_white(tmp_path):
 
 def test_gray_pictures_and_those_without_parameters(tmp_path):
     clmorph.write_image(tmp_path / "out.png", np.eye(3))
-    with Image.open(tmp_path / "out.png") as got:
-        assert got.size == (3, 3)
+    assert clmorph.read_image(tmp_path / "out.png").shape == (3, 3, 3)
     with pytest.raises(InputError, match="no parameters"):
         read_parameters(tmp_path / "out.png")
 

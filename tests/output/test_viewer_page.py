@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from browsers import watched
+from films import frames_of, noise
 from marks import full
 from PIL import Image
 from plain import morph
@@ -20,7 +21,6 @@ from clmorph.output.html.scene import Curve, Field, Marks, Scene
 from clmorph.output.html.summary import repr_html, scene_of
 from clmorph.output.save import save
 
-DESK = {"width": 1280, "height": 800}
 PHONE = {
     "viewport": {"width": 360, "height": 740},
     "device_scale_factor": 2,
@@ -37,8 +37,8 @@ def show(browser, tmp_path):
         def shown(scene, name="page.html", before="", **options):
             path = tmp_path / name
             path.write_text(scene if isinstance(scene, str) else page(scene), encoding="utf-8")
-            settings = {"viewport": DESK, "color_scheme": "light"} | options
-            opened = open_page(path.as_uri(), [path.as_uri()], before, **settings)
+            desk = {"viewport": {"width": 1280, "height": 800}, "color_scheme": "light"}
+            opened = open_page(path.as_uri(), [path.as_uri()], before, **desk | options)
             if options.get("java_script_enabled", True) and name != "notebook.html":
                 opened.evaluate("clmorph.ready")
             return opened
@@ -46,10 +46,6 @@ def show(browser, tmp_path):
         yield shown
     # That warning is about these tests, which read the canvas.
     assert [text for text in bad if "Multiple readback" not in text] == []
-
-
-def noise(rng, count=5, shape=(12, 16, 3)):
-    return [rng.integers(0, 256, shape, dtype=np.uint8) for _ in range(count)]
 
 
 def scene_with(frames, **options):
@@ -602,8 +598,7 @@ def test_a_saved_frame_is_the_frame(rng, show):
     with opened.expect_download() as download:
         opened.get_by_role("button", name="Save this frame").click()
     assert re.fullmatch(r"frame-0001\.(webp|png)", download.value.suggested_filename)
-    with Image.open(download.value.path()) as picture:
-        assert np.array_equal(np.asarray(picture.convert("RGBA")), frames[1])
+    assert np.array_equal(frames_of(download.value.path())[0], frames[1])
 
 
 @pytest.mark.full
