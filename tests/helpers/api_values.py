@@ -183,8 +183,6 @@ def cases() -> dict[str, dict[str, Any]]:
         "mix": MORPH | {"images": [some["a"], some["b"]], "weights": [[1.0, 1.0]]},
         "Mixes.frame": {"self": some["mixes"], "weights": [1.0, 1.0, 0.0]},
         "Mixes.morph": {"self": some["mixes"], "first": 0, "second": 1},
-        "Mixes.sheet": {"self": some["mixes"]},
-        "Mixes.drawn": {"self": some["mixes"]},
         "Mixes.path": {"self": some["mixes"], "stops": "ab"},
         "Mixes.save": {"self": some["mixes"], "path": "out.png"},
         "recolor": recolored | {"image": some["a"], "mask": np.ones((3, 3))},
@@ -202,7 +200,6 @@ def cases() -> dict[str, dict[str, Any]]:
             "self": clmorph.RearrangeOptions(), "gap": 0.01, "color_weight": 2.0,
         },
         "RearrangeOptions.as_dict": {"self": clmorph.RearrangeOptions()},
-        "Rearrangement.sums": {"self": some["rearranged"], "t": 0.5},
         "Rearrangement.iter_frames": {"self": some["rearranged"]},
         "Rearrangement.save": {"self": some["rearranged"], "path": "out.png"},
         "MorphOptions.replace": {"self": clmorph.MorphOptions()} | PROBLEM,
@@ -258,15 +255,12 @@ def cases() -> dict[str, dict[str, Any]]:
                                            "scaling", "background", "lossless")
         },
         "Morph.device_frame": {"self": some["morph"], "t": 0.5, "queue": some["queue"]},
-        "Morph.sums": {"self": some["morph"], "t": 0.5},
         "Morph.iter_frames": {"self": some["morph"]},
         "Morph.save": {"self": some["morph"], "path": "out.png"},
         "Plan.mean_destinations": {
             "self": some["plan"], "source": some["source"].positions,
             "target": some["target"].positions,
         },
-        "Plan.to_scipy": {"self": some["plan"]},
-        "Plan.toarray": {"self": some["plan"]},
         "Plan.to_device": {"self": some["plan"], "queue": some["queue"]},
         "Particles.mass": {"self": some["morph"].particles, "t": 0.5},
         "Potentials.map": {
@@ -287,7 +281,6 @@ def cases() -> dict[str, dict[str, Any]]:
         "quality.film_measures": {"frames": film, "particles": film, "times": (0.5,)},
         "quality.low_band_distance": {"frame": some["a"], "particles": some["b"]},
         "baseline.channel_morph": images | PROBLEM | WIDTHS | {"n_frames": 2, "extent": "true"},
-        "ChannelMorph.frame": {"self": some["channels"], "t": 0.5},
         "ChannelMorph.iter_frames": {"self": some["channels"]},
         "reference.morph": images | PROBLEM | WIDTHS | {
             "n_frames": 2, "color_weight": 2.0, "extent": "true", "unmatched": "fade",
@@ -297,7 +290,6 @@ def cases() -> dict[str, dict[str, Any]]:
         "reference.transport_plan": planned,
         "reference.cost_matrix": measures,
         "reference.render": measures | {"plan": some["reference"].plan, "t": 0.5, "sigma": 1.0},
-        "ReferenceMorph.frame": {"self": some["reference"], "t": 0.5},
     }  # fmt: skip
     frame, half = {"frame": some["a"]}, {"t": 0.5}
     for kind, names, good in (
@@ -306,8 +298,12 @@ def cases() -> dict[str, dict[str, Any]]:
         ("quality", "relative_sharpness relative_crumbs", frame | images | half),
         ("quality", "unevenness flicker", {"frames": film}),
         ("Inspection", "summary lines entries plot", {"self": some["inspection"]}),
-        ("Morph", "frame coverage canvas", {"self": some["morph"]} | half),
-        ("Rearrangement", "frame canvas", {"self": some["rearranged"]} | half),
+        ("Morph", "frame coverage canvas sums", {"self": some["morph"]} | half),
+        ("Rearrangement", "frame canvas sums", {"self": some["rearranged"]} | half),
+        ("ReferenceMorph", "frame", {"self": some["reference"]} | half),
+        ("ChannelMorph", "frame", {"self": some["channels"]} | half),
+        ("Plan", "to_scipy toarray", {"self": some["plan"]}),
+        ("Mixes", "sheet drawn", {"self": some["mixes"]}),
     ):
         own |= {f"{kind}.{name}": good for name in names.split()}
     functions = public_functions()
