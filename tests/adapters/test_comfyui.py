@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 import types
 from pathlib import Path
 
@@ -78,17 +79,19 @@ def batch(torch, rng, *shape):
     return torch.from_numpy(rng.random(shape).astype(np.float32))
 
 
-def squares(torch, count=1, channels=3, shift=0):
+def squares(torch, count=1, shift=0):
     """A batch of pictures of a square before a ground."""
-    images = np.full((count, 10, 12, channels), 0.9, np.float32)
+    images = np.full((count, 10, 12, 3), 0.9, np.float32)
     for number in range(count):
-        images[number, 2:6, 2 + shift + number : 6 + shift + number, :3] = [0.8, 0.2, 0.1]
+        images[number, 2:6, 2 + shift + number : 6 + shift + number] = [0.8, 0.2, 0.1]
     return torch.from_numpy(images)
 
 
 MORPH = {"frames": 3, "time": 0.5, "ease": "linear", "preset": "photo", "options": QUICK, **COMMON}
-#: From the first picture to the list of pictures of the node "p".
+#: From the first picture to the list of pictures of the node "p", and mixes of both.
 FILM = {"source": ("p", 0), "target": ("p", 2), **MORPH}
+WEIGHTS = dict.fromkeys(("weight_a", "weight_b", "weight_c", "weight_d"), 1.0)
+MIX = {"image_a": ("p", 0), "image_b": ("p", 2), "grid": 3, "preset": "photo", **WEIGHTS, **COMMON}
 
 
 def asked(graph, name, given, seed=0):
@@ -136,8 +139,6 @@ def test_the_folder(tmp_path, refused):
 
 
 def test_the_entry_of_the_registry():
-    import tomllib
-
     folder = Path(__file__).parents[2] / "tools/comfyui"
     assert (folder / "__init__.py").read_text() == LINE
     entry = tomllib.loads((folder / "pyproject.toml").read_text())
@@ -151,11 +152,7 @@ def test_a_film(graph, torch):
     """The frames are those of `clmorph.morph`; the ends are the pictures."""
     Pictures.images = squares(torch)
     Pictures.several = [squares(torch, shift=4), squares(torch, shift=2)]
-    plan = {
-        "one": ("Pictures", {"seed": 0}),
-        "film": ("ClmorphMorph", {"source": ("one", 0), "target": ("one", 2), **MORPH}),
-    }
-    images, masks = graph.run(plan, "film")
+    images, masks = asked(graph, "Morph", FILM)
     assert len(images) == 2  # of a list each element is morphed
     for found, mask, target in zip(images, masks, Pictures.several, strict=True):
         assert tuple(found.shape) == (3, 10, 12, 3)
@@ -172,13 +169,13 @@ def test_a_film(graph, torch):
         assert np.array_equal(frames[1], np.clip(film[1], 0, 1))
     shown = comfyui.Bar.shown
     assert shown[-1] == 1.0
-    graph.run(plan, "film")
-    assert graph.runs == ["one", "film"]
+    asked(graph, "Morph", FILM)
+    assert graph.runs == ["p", "n"]
 
 
 def test_one_frame_and_batches(graph, torch):
     Pictures.images = squares(torch, 3)
-    Pictures.several = [squares(torch, 1, shift=4)]
+    Pictures.several = [squares(torch, shift=4)]
     ((found,), _) = asked(graph, "Morph", FILM | {"frames": 1, "time": 1.0})
     assert tuple(found.shape) == (3, 10, 12, 3)
     assert all(np.array_equal(each, Pictures.several[0].numpy()[0]) for each in found.numpy())
@@ -210,13 +207,10 @@ def test_sizes_and_opacity(graph, torch, rng):
 
 def test_mixes(graph, torch):
     Pictures.images, Pictures.several = squares(torch), [squares(torch, shift=4)]
-    given = {
-        "image_a": ("p", 0), "image_b": ("p", 2), "weight_a": 1.0, "weight_b": 0.0,
-        "weight_c": 1.0, "weight_d": 1.0, "grid": 0, "preset": "photo", "options": QUICK, **COMMON,
-    }  # fmt: skip
-    ((found,), _) = asked(graph, "Mix", given)
+    given = MIX | {"weight_b": 0.0, "options": QUICK}
+    ((found,), _) = asked(graph, "Mix", given | {"grid": 0})
     assert np.array_equal(found.numpy(), Pictures.images.numpy())
-    ((found,), _) = asked(graph, "Mix", given | {"grid": 3})
+    ((found,), _) = asked(graph, "Mix", given)
     assert tuple(found.shape) == (3, 10, 12, 3)
     more = {"grid": 2, "image_c": ("p", 0), "image_d": ("p", 2)}
     ((found,), _) = asked(graph, "Mix", given | more)
@@ -224,22 +218,11 @@ def test_mixes(graph, torch):
     assert np.array_equal(found.numpy()[3], Pictures.several[0].numpy()[0])
 
 
-@pytest.mark.parametrize("name", ["Morph", "Mix"])
-def test_the_text_of_options_wins_over_a_nodes_own(graph, torch, name):
+@pytest.mark.parametrize(("name", "given"), [("Morph", FILM), ("Mix", MIX)])
+def test_the_text_of_options_wins_over_a_nodes_own(graph, torch, name, given):
     Pictures.images, Pictures.several = squares(torch), [squares(torch, shift=4)]
     options = {"preset": "pixel-art", "options": f"{QUICK}\npreset = 'photo'\nsize = 6"}
-    given = FILM | options
-    if name == "Mix":
-        weights = dict.fromkeys(("weight_a", "weight_b", "weight_c", "weight_d"), 1.0)
-        given = {
-            "image_a": ("p", 0),
-            "image_b": ("p", 2),
-            "grid": 3,
-            **weights,
-            **COMMON,
-            **options,
-        }
-    ((found,), _) = asked(graph, name, given)
+    ((found,), _) = asked(graph, name, given | options)
     assert tuple(found.shape) == (3, 5, 6, 3)
 
 
@@ -341,10 +324,7 @@ def test_mistakes_before_the_run(graph):
         ("reech = 0.2", "unknown option"),
         ("blur = -1", "blur"),
     ):
-        plan = {
-            "p": ("Pictures", {"seed": 0}),
-            "m": ("ClmorphMorph", given | {"options": options}),
-        }
+        plan = {"p": ("Pictures", {"seed": 0}), "m": ("ClmorphMorph", given | {"options": options})}
         wrong = graph.faults(plan)
         assert wrong[:2] == ["m: target has the wrong type", "m: frames is out of range"]
         assert words in wrong[2].lower()
@@ -353,13 +333,12 @@ def test_mistakes_before_the_run(graph):
 
 def test_mistakes_in_the_run(torch):
     morph = NODE_CLASS_MAPPINGS["ClmorphMorph"]().run
-    mixed = NODE_CLASS_MAPPINGS["ClmorphMix"]().run
     good = squares(torch)
     void = torch.from_numpy(np.full((1, 4, 4, 3), np.nan, np.float32))
     wide = torch.from_numpy(np.zeros((1, 4, 4, 7), np.float32))
     none = torch.from_numpy(np.zeros((0, 4, 4, 3), np.float32))
     mask = torch.from_numpy(np.zeros((3, 4, 4), np.float32))
-    weights = dict.fromkeys(("weight_a", "weight_b", "weight_c", "weight_d"), 1.0)
+    mix = MIX | {"image_a": good, "image_b": good, "grid": 1}
     for call, words in (
         (lambda: morph(void, good, **MORPH), "source holds NaN"),
         (lambda: morph(good, wide, **MORPH), "target has shape"),
@@ -368,10 +347,7 @@ def test_mistakes_in_the_run(torch):
         (lambda: morph(squares(torch, 2), squares(torch, 3), **MORPH), "source holds 2 pictures"),
         (lambda: morph(good, good, source_mask=mask, **MORPH), "source_mask has shape"),
         (lambda: morph(good, good, **MORPH | {"device": "nowhere"}), "nowhere"),
-        (
-            lambda: mixed(image_a=good, image_b=good, grid=1, preset="photo", **COMMON, **weights),
-            "grid=1",
-        ),
+        (lambda: NODE_CLASS_MAPPINGS["ClmorphMix"]().run(**mix), "grid=1"),
     ):
         with pytest.raises(clmorph.ClmorphError, match=words) as raised:
             call()

@@ -84,16 +84,11 @@ def test_each_function_says_what_film_measures_says(pictures):
     assert found.ghost_absolute == pytest.approx(np.mean([ghost(each, a, b) for each in middle]))
     assert found.ghost == pytest.approx(found.ghost_absolute / found.ghost_of_crossfade)
     assert found.crossfade_share == pytest.approx(crossfade_share(middle[1], a, b))
-    timed = list(zip(middle, times, strict=True))
-    assert found.relative_sharpness == pytest.approx(
-        [relative_sharpness(frame, a, b, t) for frame, t in timed]
-    )
-    assert found.relative_crumbs == pytest.approx(
-        [relative_crumbs(frame, a, b, t) for frame, t in timed]
-    )
-    assert found.low_band_distance == pytest.approx(
-        [low_band_distance(frame, below[round(24 * t)]) for frame, t in timed]
-    )
+    for number, (frame, t) in enumerate(zip(middle, times, strict=True)):
+        assert found.relative_sharpness[number] == pytest.approx(relative_sharpness(frame, a, b, t))
+        assert found.relative_crumbs[number] == pytest.approx(relative_crumbs(frame, a, b, t))
+        distance = low_band_distance(frame, below[round(24 * t)])
+        assert found.low_band_distance[number] == pytest.approx(distance)
     assert found.unevenness == pytest.approx(unevenness(film[::3]))
     assert found.flicker == pytest.approx(flicker(film))
 
@@ -161,10 +156,9 @@ def test_opacity_is_over_gray(pictures):
     alpha = np.clip(texture(7)[..., :1] * 2 - 0.5, 0, 1)
     clear = [np.dstack((each, alpha)) for each in crossfade(a, b, 5)]
     opaque = [each * alpha + 0.5 * (1 - alpha) for each in crossfade(a, b, 5)]
-    for value, wanted in zip(
-        film_measures(clear, clear, [0.5]), film_measures(opaque, opaque, [0.5]), strict=True
-    ):
-        assert value == pytest.approx(wanted)
+    found, wanted = (film_measures(each, each, [0.5]) for each in (clear, opaque))
+    for value, other in zip(found, wanted, strict=True):
+        assert value == pytest.approx(other)
     nothing = np.dstack((a, np.zeros_like(alpha)))
     assert low_band_distance(nothing, np.full((9, 9, 3), 0.5)) == pytest.approx(0, abs=1e-9)
 

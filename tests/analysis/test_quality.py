@@ -42,8 +42,7 @@ def test_particles_as_a_measure(result):
     merged, spread = particle_measure(result, 0.3, max_points=200)
     assert len(merged) <= 200
     assert merged.mass == pytest.approx(whole.mass)
-    mean = [measure.weights @ measure.points for measure in (whole, merged)]
-    assert np.allclose(*mean)
+    assert np.allclose(whole.weights @ whole.points, merged.weights @ merged.points)
     # Merging takes from the variance what it says.
     variance = [
         measure.weights @ np.sum(measure.points**2, axis=1) / measure.mass
@@ -71,12 +70,10 @@ def test_divergences_along_the_path(result):
 
 def test_more_blur_is_farther_from_the_particles(device, images):
     """The paper's argument turned round: where nothing is torn, a wide kernel only averages."""
-    frames = [
-        morph(*images, n_frames=2, sigma_start=sigma, sigma_end=sigma, gamma=0, endpoints="paper",
-              backend=device)
-        for sigma in (0.5, 1.5, 4.0)
-    ]  # fmt: skip
-    away = [path_divergence(frame, [0.5], "particles")[0] for frame in frames]
+    options, away = {"n_frames": 2, "gamma": 0, "endpoints": "paper", "backend": device}, []
+    for sigma in (0.5, 1.5, 4.0):
+        blurred = morph(*images, sigma_start=sigma, sigma_end=sigma, **options)
+        away += path_divergence(blurred, [0.5], "particles")
     assert away[0].closer_than(away[1])
     assert away[1].closer_than(away[2])
 

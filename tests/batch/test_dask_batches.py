@@ -21,6 +21,7 @@ import clmorph
 from clmorph.batch import workers
 from clmorph.batch.index import index_page
 from clmorph.batch.jobs import Defaults, from_folder, read_jobs
+from clmorph.batch.journal import FAR, Journal
 from clmorph.batch.places import JOURNAL as NAME
 from clmorph.batch.run import run_jobs
 from clmorph.batch.workers import LOCAL, devices_of, local_client, quiet_dask
@@ -32,8 +33,10 @@ pytestmark = pytest.mark.filterwarnings(
     "default:Creating scratch directories:UserWarning",
 )  # fmt: skip
 
-#: Options of all morphs: some milliseconds each.
+#: Options of all morphs: some milliseconds each; the same in Python, of commands and in TOML.
 OPTIONS = {"size": 12, "frames": 3, "max_particles": 500}
+IN_PYTHON = {"size": 12, "n_frames": 3, "max_particles": 500}
+FLAGS = ["--size=12", "--frames=3", "--max-particles=500"]
 N_PAIRS = 20
 
 
@@ -64,9 +67,16 @@ def pictures(tmp_path_factory):
     return [folder / f"{name}.png" for name in names]
 
 
-def table(path, pictures, count=N_PAIRS):
+@pytest.fixture
+def small(tmp_path):
+    """A file with the options of all morphs."""
+    (tmp_path / "small.toml").write_text("size = 12\nframes = 3\nmax_particles = 500\n")
+    return str(tmp_path / "small.toml")
+
+
+def table(path, pictures):
     """Write a table of jobs: good pairs, the seventh with an option of its own, and bad ones."""
-    pairs = [(s, t) for s in pictures for t in pictures if s != t][:count]
+    pairs = [(s, t) for s in pictures for t in pictures if s != t][:N_PAIRS]
     (path.parent / "broken.png").write_bytes(b"no picture")
     (path.parent / "file").write_bytes(b"")
     bad = [
@@ -146,10 +156,8 @@ def test_nothing_is_lost(client, pictures, tmp_path, capsys):
     assert not list(out.rglob(".clmorph-*"))
     for number, (source, target) in list(enumerate(pairs))[::3]:
         single = tmp_path / "single.gif"
-        options = [f"--{name.replace('_', '-')}={value}" for name, value in OPTIONS.items()]
-        options += ["--reverse"] * (number == 6)
-        call_one = ["morph", str(source), str(target), "-o", str(single), "--backend", "numpy"]
-        assert main([*call_one, *options]) == 0
+        options = [*FLAGS, "--backend", "numpy", *["--reverse"] * (number == 6)]
+        assert main(["morph", str(source), str(target), "-o", str(single), *options]) == 0
         made = out / "sub" / f"{source.stem} {target.stem}.gif"
         assert made.read_bytes() == single.read_bytes(), made
     page = (out / "index.html").read_text("ascii")
@@ -189,8 +197,6 @@ def test_a_worker_out_of_memory(pictures, tmp_path, capsys):
 
 
 def test_two_runs_do_not_share_a_folder(pictures, tmp_path, refused):
-    from clmorph.batch.journal import Journal
-
     with Journal(str(tmp_path / "out")):
         told = refused("batch", "--chain", pictures[0].parent, "-o", tmp_path / "out")
     assert "another clmorph batch writes to it" in told
@@ -198,8 +204,6 @@ def test_two_runs_do_not_share_a_folder(pictures, tmp_path, refused):
 
 def test_a_journal_is_locked_on_windows_too(tmp_path, monkeypatch):
     """By a byte behind the end, so that it can be read and written; the system refuses a second."""
-    from clmorph.batch.journal import FAR, Journal
-
     locked = []
 
     def locking(handle, mode, count):
@@ -234,13 +238,6 @@ def test_links_are_followed(pictures, tmp_path, refused):
     assert picture.read_bytes() == pictures[0].read_bytes()
 
 
-def test_pictures_and_outputs_in_one_folder(pictures, refused):
-    """GIF files would count as pictures when the command goes on."""
-    folder = pictures[0].parent
-    told = refused("batch", "--chain", folder, "-o", folder, "--backend", "numpy")
-    assert "choose another folder of outputs" in told
-
-
 def test_names_with_dashes(tmp_path):
     for name in ("a", "a-b", "b-c", "c"):
         (tmp_path / f"{name}.png").write_bytes(b"")
@@ -258,11 +255,10 @@ def test_a_table_in_another_folder(pictures, tmp_path):
 
 
 @pytest.mark.full
-def test_an_index_of_earlier_runs_too_and_a_journal_edited_by_hand(client, pictures, tmp_path):
+def test_an_index_of_earlier_runs_and_a_journal_edited_by_hand(client, pictures, tmp_path, small):
     out = tmp_path / "out"
     call = ["-o", str(out), "--backend", "numpy", "--scheduler", client.scheduler.address]
-    (tmp_path / "small.toml").write_text("size = 12\nframes = 3\nmax_particles = 500\n")
-    call += ["--config", str(tmp_path / "small.toml")]
+    call += ["--config", small]
     for name in ("one", "two"):
         lines = f"source,target,output\n{pictures[0]},{pictures[1]},{name}.gif\n"
         (tmp_path / f"{name}.csv").write_text(lines)
@@ -296,20 +292,17 @@ def test_a_client_that_is_closed(client):
 
 
 @pytest.mark.full
-def test_other_file_systems(client, pictures, tmp_path):
+def test_other_file_systems(client, pictures, tmp_path, small):
     """Pictures and outputs through fsspec; "local" stands for any of its file systems."""
     pair = f"local://{pictures[0]}", f"local://{pictures[1]}", f"local://{tmp_path}/new/out.gif"
-    options = {"n_frames": 3, "size": 12, "max_particles": 500}
     direct = str(pictures[0]), str(pictures[1]), str(tmp_path / "direct.gif")
-    found = list(clmorph.batch.morph([pair, direct], client=client, backend="numpy", **options))
+    found = list(clmorph.batch.morph([pair, direct], client=client, backend="numpy", **IN_PYTHON))
     assert [each["status"] for each in found] == ["done", "done"], found
     assert (tmp_path / "new" / "out.gif").read_bytes() == (tmp_path / "direct.gif").read_bytes()
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["out.gif"]
     call = ["--chain", str(pictures[0].parent), "-o", f"local://{tmp_path}/far", "--backend"]
     call += ["numpy", "--scheduler", client.scheduler.address]
-    config = tmp_path / "small.toml"
-    config.write_text("size = 12\nframes = 3\nmax_particles = 500\n")
-    assert main(["batch", *call, "--config", str(config)]) == 0
+    assert main(["batch", *call, "--config", small]) == 0
     made = {path.name for path in (tmp_path / "far").iterdir()}
     assert {NAME, "index.html", "a-b.gif"} <= made
     assert len(made) == 7
@@ -349,13 +342,11 @@ def test_the_bytes_are_those_of_the_device(request, device, client, pictures, tm
     paths = [str(pictures[0]), str(pictures[1])]
     index = request.node.callspec.params["device"].index
     made, single = tmp_path / "made.gif", tmp_path / "single.gif"
-    options = {"n_frames": 3, "size": 12, "max_particles": 500}
     pair = [(*paths, str(made))]
-    (record,) = clmorph.batch.morph(pair, client=client, backend=index, **options)
+    (record,) = clmorph.batch.morph(pair, client=client, backend=index, **IN_PYTHON)
     assert record["status"] == "done", record
     assert record["device"] == device.description
-    flags = [f"--{name.replace('_', '-')}={value}" for name, value in OPTIONS.items()]
-    assert main(["morph", *paths, "-o", str(single), "--device", index, *flags]) == 0
+    assert main(["morph", *paths, "-o", str(single), "--device", index, *FLAGS]) == 0
     assert made.read_bytes() == single.read_bytes()
     capsys.readouterr()
 
@@ -457,6 +448,9 @@ def test_tables_that_are_wrong(tmp_path, refused, name, text, words):
         (["--chain", "."], "holds 0 pictures"),
         (["--chain", "PICTURES", "--device", "none such"], "matches 'none such'"),
         (["--chain", "PICTURES", "-o", "nofs://x"], "nofs://x/clmorph-batch.jsonl: cannot be"),
+        # GIF files would count as pictures when the command goes on.
+        (["--chain", "PICTURES", "-o", "PICTURES"], "choose another folder of outputs"),
+        (["--chain", "PICTURES", "--scheduler", "tcp://127.0.0.1:9"], "no scheduler answers"),
         (["--chain", ".", "--ending", ".xyz"], "--ending .xyz: expected one of"),
         (["--chain", ".", "--memory", "much"], "--memory much: expected a size"),
         (["--chain", ".", "--device", "a", "--backend", "numpy"], "contradict"),
@@ -465,15 +459,10 @@ def test_tables_that_are_wrong(tmp_path, refused, name, text, words):
 )
 def test_arguments_that_are_wrong(tmp_path, monkeypatch, refused, pictures, arguments, words):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(workers, "TIMEOUT", 0.5)
     folder = str(pictures[0].parent)
     arguments = [folder if word == "PICTURES" else word for word in arguments]
     assert words in refused("batch", "-o", "out", *arguments)
-
-
-def test_a_scheduler_that_does_not_answer(pictures, tmp_path, monkeypatch, refused):
-    monkeypatch.setattr("clmorph.batch.workers.TIMEOUT", 0.5)
-    call = "batch", "--chain", pictures[0].parent, "-o", tmp_path, "--scheduler"
-    assert "no scheduler answers" in refused(*call, "tcp://127.0.0.1:9")
 
 
 @pytest.mark.full
@@ -523,8 +512,6 @@ def test_without_the_extra(monkeypatch, tmp_path, refused):
 
 
 def test_a_journal_with_half_a_line(tmp_path):
-    from clmorph.batch.journal import Journal
-
     rest = {"source": "s", "target": "t", "where": "line 1"}
     with Journal(str(tmp_path)) as journal:
         journal.add({"output": "a", "status": "done", "key": "1", **rest})

@@ -27,14 +27,6 @@ def _centers(shape, grid):
     return places.mean(axis=(1, 3)).reshape(-1, 2)
 
 
-def _blocks(shape, grid):
-    """The block of each pixel."""
-    rows, columns = (
-        np.arange(side) * count // side for side, count in zip(shape, grid, strict=True)
-    )
-    return rows[:, None] * grid[1] + columns
-
-
 def _pair(rng, first=(12, 18), second=(12, 18), channels=(3, 3)):
     pictures = [
         rng.random((*shape, count)) for shape, count in zip((first, second), channels, strict=True)
@@ -45,8 +37,7 @@ def _pair(rng, first=(12, 18), second=(12, 18), channels=(3, 3)):
 def _shuffled(rng, shape, grid, switching=0.5):
     """The blocks of a grid, moved into one another's places."""
     centers = _centers(shape, grid)
-    order = rng.permutation(len(centers))
-    return CellPaths(centers, centers[order], np.full(len(centers), switching)), order
+    return CellPaths(centers, rng.permutation(centers), np.full(len(centers), switching))
 
 
 def test_seeds_of_a_grid_are_its_blocks(any_backend):
@@ -54,14 +45,14 @@ def test_seeds_of_a_grid_are_its_blocks(any_backend):
     shape, grid = (12, 20), (3, 5)
     centers = _centers(shape, grid)
     owners = owners_at(centers, centers, 0.5, canvas_at(0.0, shape, shape), operations)
-    np.testing.assert_array_equal(owners, _blocks(shape, grid))
+    np.testing.assert_array_equal(owners, np.kron(np.arange(15).reshape(grid), np.ones((4, 4))))
 
 
 @pytest.mark.parametrize("channels", [(3, 3), (4, 4), (3, 4)])
 @pytest.mark.parametrize("switching", [0.0, 0.5, 1.0])
 def test_the_ends_are_the_pictures(any_backend, rng, channels, switching):
     pictures, canvases = _pair(rng, (12, 18), (9, 20), channels)
-    paths, _ = _shuffled(rng, (12, 18), (4, 6), switching)
+    paths = _shuffled(rng, (12, 18), (4, 6), switching)
     operations = clmorph.get_backend(any_backend)
     cells = Cells(paths, pictures, canvases, operations)
     for t, picture, canvas in zip((0.0, 1.0), pictures, canvases, strict=True):
@@ -91,7 +82,7 @@ def test_a_block_moves_as_a_whole(rng):
 def test_cells_change_pictures_within_their_time(rng, switching):
     first, second = np.zeros((8, 8, 3)), np.ones((8, 8, 3))
     canvas = canvas_at(0.0, (8, 8), (8, 8))
-    paths, _ = _shuffled(rng, (8, 8), (4, 4), switching)
+    paths = _shuffled(rng, (8, 8), (4, 4), switching)
     paths.switching[:5] = 1 - switching
     cells = Cells(paths, (first, second), (canvas, canvas), EXACT)
     for t in np.linspace(0, 1, 21):
@@ -102,7 +93,7 @@ def test_cells_change_pictures_within_their_time(rng, switching):
 
 def test_strips_are_a_whole(monkeypatch, rng):
     pictures, canvases = _pair(rng, (12, 18), (9, 20), (3, 4))
-    paths, _ = _shuffled(rng, (12, 18), (4, 6), 0.42)
+    paths = _shuffled(rng, (12, 18), (4, 6), 0.42)
     cells = Cells(paths, pictures, canvases, EXACT)
     canvas = canvas_at(0.4, (12, 18), (9, 20))
     whole = cells.frame(0.4, canvas)
@@ -118,7 +109,7 @@ def test_transparent_colors_are_not_seen(rng):
         picture[clear] = (1.0, 0.0, 1.0, 0.0)
         picture[~clear, 3] = 1.0
     canvas = canvas_at(0.0, (6, 6), (6, 6))
-    paths, _ = _shuffled(rng, (6, 6), (3, 3))
+    paths = _shuffled(rng, (6, 6), (3, 3))
     cells = Cells(paths, (first, second), (canvas, canvas), EXACT)
     frame = cells.frame(0.37, Canvas((9, 11), (7.0, 7.0)))
     assert np.abs(frame[frame[..., 3] > 0.01, :3] - 0.25).max() < 1e-9
@@ -126,7 +117,7 @@ def test_transparent_colors_are_not_seen(rng):
 
 def test_cells_on_another_device_are_the_same(device, rng):
     pictures, canvases = _pair(rng)
-    paths, _ = _shuffled(rng, (12, 18), (4, 6))
+    paths = _shuffled(rng, (12, 18), (4, 6))
     cells = Cells(paths, pictures, canvases, EXACT)
     frames = [each.frame(0.4, canvases[0]) for each in (cells, cells.on(device))]
     # Rounding decides to whom a pixel on a border belongs.
@@ -215,10 +206,6 @@ def test_barycentric_plans_opacity_and_maps_of_metrics(rng):
     mean = clmorph.barycentric_plan(source, target, potentials, backend="numpy")
     metric = np.tile(np.eye(3), (16, 16, 1, 1)) * rng.uniform(1, 2, (16, 16, 1, 1))
     mapped = clmorph.lift(first, color_metric=metric)
-    for pair, given in (
-        ((source, target), plan),
-        ((source, target), mean),
-        ((mapped, target), plan),
-    ):
-        paths = cells_of_plan(*pair, given, 8)
+    for first, given in ((source, plan), (source, mean), (mapped, plan)):
+        paths = cells_of_plan(first, target, given, 8)
         assert len(np.unique(paths.ends.round(9), axis=0)) == 64

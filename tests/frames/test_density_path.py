@@ -13,9 +13,8 @@ def gaussian(shape, center, widths):
     """Return a Gaussian of mass 1 on a grid, in image sides of the longer side."""
     height, width = shape
     y, x = np.mgrid[:height, :width] / (max(shape) - 1)
-    found = np.exp(
-        -0.5 * ((x - center[0]) / widths[0]) ** 2 - 0.5 * ((y - center[1]) / widths[1]) ** 2
-    )
+    places = np.array(((x - center[0]) / widths[0], (y - center[1]) / widths[1]))
+    found = np.exp(-0.5 * np.sum(places**2, axis=0))
     return found / found.sum()
 
 
@@ -74,8 +73,7 @@ def test_a_loose_tolerance_adds_no_mass(device, rng, reach):
     """Rows of the plan may then exceed their cells' masses; no cell is negative for that."""
     source, target = rng.random((2, 12, 12)) ** 4
     target *= source.sum() / target.sum()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         path = clmorph.density_path(
             source, target, blur=0.05, reach=reach, tol=0.3, max_iter=3, backend=device
         )

@@ -28,11 +28,11 @@ def pair():
     return logo("star", ground=None), logo("disc", ground=None)
 
 
-def disc(center, radius, color, size=128):
-    """Return an anti-aliased disc on white."""
-    y, x = (np.indices((4 * size, 4 * size)) + 0.5) / 4 - 0.5
+def disc(center, radius, color):
+    """Return an anti-aliased disc on white, in 128 x 128 pixels."""
+    y, x = (np.indices((512, 512)) + 0.5) / 4 - 0.5
     inside = np.hypot(y - center[0], x - center[1]) < radius
-    covered = inside.reshape(size, 4, size, 4).mean(axis=(1, 3))[..., None]
+    covered = inside.reshape(128, 4, 128, 4).mean(axis=(1, 3))[..., None]
     return covered * np.array(color) + (1 - covered)
 
 
@@ -124,34 +124,24 @@ class TestLogos:
         images = [Image.new("L", (512, 512), 255) for _ in range(2)]
         man, tree = map(ImageDraw.Draw, images)
         line = {"fill": 40, "width": 8}
-        man.ellipse([200, 60, 312, 172], outline=40, width=8)
-        tips = (
-            (256, 200, 160, 280),
-            (256, 200, 352, 280),
-            (256, 320, 190, 460),
-            (256, 320, 322, 460),
-        )
-        for each in ((256, 172, 256, 320), *tips):
-            man.line(each, **line)
-        for each in ((240, 460, 240, 260), (272, 460, 272, 260)):
-            tree.line(each, **line)
-        arcs = (
-            ([120, 80, 280, 240], 90, 330),
-            ([220, 40, 400, 220], 200, 70),
-            ([160, 160, 380, 300], 0, 180),
-        )
-        for box, first, last in arcs:
-            tree.arc(box, first, last, **line)
+        man.ellipse((200, 60, 312, 172), outline=40, width=8)
+        man.line((256, 172, 256, 320), **line)
+        for hand, foot in ((160, 190), (352, 322)):
+            man.line((256, 200, hand, 280), **line)
+            man.line((256, 320, foot, 460), **line)
+        for x in (240, 272):
+            tree.line((x, 460, x, 260), **line)
+        tree.arc((120, 80, 280, 240), 90, 330, **line)
+        tree.arc((220, 40, 400, 220), 200, 70, **line)
+        tree.arc((160, 160, 380, 300), 0, 180, **line)
         pair = [
             np.dstack([np.asarray(i.resize((128, 128), Image.Resampling.BOX)) / 255] * 3)
             for i in images
         ]
         morph = clmorph.morph(*pair, backend=device, preset="logo", landmarks=None)
-        parts = [
-            label(morph.frame(t)[..., 0] < 0.6, np.ones((3, 3)))[1]
-            for t in (0.25, 0.375, 0.5, 0.625, 0.75)
-        ]
-        assert sum(parts) < 24  # means of both lines fall into 31
+        dark = [morph.frame(t)[..., 0] < 0.6 for t in (0.25, 0.375, 0.5, 0.625, 0.75)]
+        # Means of both lines fall into 31 parts.
+        assert sum(label(each, np.ones((3, 3)))[1] for each in dark) < 24
 
     @pytest.mark.full
     def test_thick_strokes_keep_smooth_outlines(self, device):
@@ -174,18 +164,14 @@ class TestLogos:
     @pytest.mark.full
     def test_rounding_does_not_change_a_film(self, device, rng):
         """What a picture does not tell is not told by its last bits."""
-        pair = []
-        for shapes in (
-            (("ellipse", (34, 70, 118, 180)), ("ellipse", (90, 70, 174, 180))),
-            (
-                ("polygon", (40, 110, 216, 110, 190, 150, 66, 150)),
-                ("rectangle", (122, 30, 132, 110)),
-            ),
-        ):
-            image = Image.new("RGB", (256, 256), "white")
-            for color, (shape, box) in zip(("#c02020", "#306080"), shapes, strict=True):
-                getattr(ImageDraw.Draw(image), shape)(box, fill=color)
-            pair.append(np.asarray(image.resize((128, 128), Image.Resampling.BOX)) / 255)
+        images = [Image.new("RGB", (256, 256), "white") for _ in range(2)]
+        fruits, ship = map(ImageDraw.Draw, images)
+        fruits.ellipse((34, 70, 118, 180), fill="#c02020")
+        fruits.ellipse((90, 70, 174, 180), fill="#306080")
+        ship.polygon((40, 110, 216, 110, 190, 150, 66, 150), fill="#c02020")
+        ship.rectangle((122, 30, 132, 110), fill="#306080")
+        half = {"size": (128, 128), "resample": Image.Resampling.BOX}
+        pair = [np.asarray(image.resize(**half)) / 255 for image in images]
         noisy = np.clip(pair[0] + 1e-9 * rng.standard_normal(pair[0].shape), 0.0, 1.0)
         frames = [
             clmorph.morph(first, pair[1], backend=device, preset="logo", landmarks=None).frame(0.5)

@@ -51,11 +51,10 @@ def test_births_start_where_their_nearest_traveling_neighbor_comes_from(device, 
     grown = moving.links[:, 0] >= n + len(target)
     assert grown.any()
     assert not moving.weights[grown, 0].any()
-    assert np.allclose(moving.table[moving.links[grown, 0], :2], starts[moving.links[grown, 1] - n])
+    first, last = moving.links[grown].T
+    assert np.allclose(moving.table[first, :2], starts[last - n])
     # They keep their own color all the way.
-    assert np.allclose(
-        moving.table[moving.links[grown, 0], 2:5], moving.table[moving.links[grown, 1], 2:5]
-    )
+    assert np.allclose(moving.table[first, 2:5], moving.table[last, 2:5])
 
 
 def test_opacity(device):
@@ -79,9 +78,8 @@ def test_all_ways(device, pair, given):
 def test_nothing_travels(device):
     black, white = np.zeros((2, 9, 9, 3))
     white += 1.0
-    morph = clmorph.morph(
-        black, white, backend=device, unmatched="grow", reach=1e-3, preset="photo", n_frames=3
-    )
+    options = {"unmatched": "grow", "reach": 1e-3, "preset": "photo", "n_frames": 3}
+    morph = clmorph.morph(black, white, backend=device, **options)
     assert np.all(np.isfinite(morph.frame(0.5)))
 
 

@@ -27,12 +27,10 @@ def test_both_ends_have_the_images_masses(parts):
 
 def test_both_ends_stand_on_the_pixels(parts):
     source, target, plan, moving = parts
-    ends = moving.table[moving.links[:, 0]][: len(plan)]
-    assert np.array_equal(ends[:, :2], source.positions[plan.rows])
-    assert np.array_equal(ends[:, 2:5], source.colors[plan.rows])
-    assert np.array_equal(
-        moving.table[moving.links[: len(plan), 1], 2:5], target.colors[plan.indices]
-    )
+    starts, ends = (moving.table[each] for each in moving.links[: len(plan)].T)
+    assert np.array_equal(starts[:, :2], source.positions[plan.rows])
+    assert np.array_equal(starts[:, 2:5], source.colors[plan.rows])
+    assert np.array_equal(ends[:, 2:5], target.colors[plan.indices])
 
 
 def test_unmatched_mass_rests(parts):

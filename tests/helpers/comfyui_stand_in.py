@@ -66,9 +66,8 @@ def load(comfyui):
     """Return the classes and the names of all folders in ``custom_nodes``."""
     classes, names = {}, {}
     for folder in sorted((Path(comfyui) / "custom_nodes").iterdir()):
-        spec = importlib.util.spec_from_file_location(
-            str(folder).replace(".", "_x_"), folder / "__init__.py"
-        )
+        name = str(folder).replace(".", "_x_")
+        spec = importlib.util.spec_from_file_location(name, folder / "__init__.py")
         module = importlib.util.module_from_spec(spec)
         sys.modules[spec.name] = module
         try:
@@ -120,9 +119,7 @@ class Graph:
             kind = self.classes[name]
             inputs = kind.INPUT_TYPES()
             both = inputs["required"] | inputs.get("optional", {})
-            found += [
-                f"{key}: {each} is missing" for each in inputs["required"] if each not in given
-            ]
+            found += [f"{key}: {each} is missing" for each in set(inputs["required"]) - set(given)]
             values = {}
             for each, value in given.items():
                 type_of, settings = both[each]

@@ -2,7 +2,9 @@
 
 import os
 import shutil
+import subprocess
 import sysconfig
+from typing import Any
 
 import pytest
 
@@ -28,3 +30,9 @@ def program(name: str) -> str:
             pytest.fail(why)
         pytest.skip(why)
     return path
+
+
+def ffmpeg(*arguments: object, **options: Any) -> bytes:
+    """Run FFmpeg, which replaces files and must succeed; return what it writes to its output."""
+    command = [program("ffmpeg"), "-v", "error", "-y", *map(str, arguments)]
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, **options).stdout

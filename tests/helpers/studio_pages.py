@@ -77,6 +77,14 @@ def pictures(place):
     return paths
 
 
+@pytest.fixture
+def page(opened, pictures):
+    """A page that has the pictures."""
+    page = opened()
+    take(page, pictures)
+    return page
+
+
 def until(page, condition, seconds=60.0):
     end = time.monotonic() + seconds
     while not page.evaluate(f"Boolean({condition})"):

@@ -34,8 +34,8 @@ CODED = [
 ]
 
 
-def flat(color, size=16):
-    return np.broadcast_to(np.array(color, np.uint8), (size, size, 3)).copy()
+def flat(color):
+    return np.full((16, 16, 3), color, np.uint8)
 
 
 def cicp(primaries, transfer, matrix=0, whole=1):
@@ -122,9 +122,7 @@ def test_spaces_of_bitmaps(read, rng):
     assert np.abs(read(bitmap(array, b"MBED", profile)) - want).max() < 0.02
     ends = [(x / y, 1, (1 - x - y) / y) for x, y in ((0.3127, 0.329), *P3_PRIMARIES)]
     mixed = np.linalg.solve(np.array(ends[1:]).T, ends[0])
-    stored = [
-        round(float(n) * (1 << 30)) for n in (np.array(ends[1:]) * mixed[:, None] / 4).ravel()
-    ]
+    stored = np.rint(np.ravel(np.array(ends[1:]) * mixed[:, None] / 4) * (1 << 30)).astype(int)
     want = read(bitmap(array, bytes(4), b"", stored, (round(2.2 * 65536),) * 3))
     got = read(png(array, 2, 8, (chromaticities(P3_PRIMARIES),)))
     assert np.abs(got - want).max() < 1e-3
@@ -153,8 +151,7 @@ def test_profiles_of_jpeg_2000(tmp_path, read, rng):
 def test_damaged_descriptions_do_not_matter(read):
     array = flat((200, 100, 50))
     for chunk in ((b"cICP", b"\1"), (b"cHRM", bytes(32)), (b"cHRM", b"\xff" * 32)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ImageWarning)
+        with warnings.catch_warnings(action="ignore", category=ImageWarning):
             assert np.array_equal(read(png(array, 2, 8, (chunk,))), array / 255)
     with pytest.raises(FileError):
         read(bitmap(array, b"MBED", b"")[:-3])

@@ -70,9 +70,7 @@ def test_points_that_are_held_out_arrive(pair):
     places = []
     for image in images:
         copy = small_copy(image, MESHED)
-        ((held, whole),) = zip(
-            mesh_faces(copy, HELD_OUT), mesh_faces(copy, tuple(range(468))), strict=True
-        )
+        (held,), (whole,) = (mesh_faces(copy, some) for some in (HELD_OUT, tuple(range(468))))
         places.append(copy.whole(held))
         width = np.ptp(copy.whole(whole)[:, 0])
     # From pixels of A to its frame, by the warp, and from the frame of B to its pixels.

@@ -21,11 +21,10 @@ from clmorph.output.provenance import read_parameters
 def misses(morph, landmarks):
     """Return how many pixels from its partner the mean destination of each landmark's pixel is."""
     width = morph.source.shape[1]
-    ends = (
-        morph.plan.positions
-        if isinstance(morph.plan, clmorph.Barycentric)
-        else morph.plan.mean_destinations(morph.source.positions, morph.target.positions)[0]
-    )
+    if isinstance(morph.plan, clmorph.Barycentric):
+        ends = morph.plan.positions
+    else:
+        ends, _ = morph.plan.mean_destinations(morph.source.positions, morph.target.positions)
     longer = max(morph.target.shape) - 1
     corner = morph.target.positions.min(axis=0)
     places = ends[[int(y) * width + int(x) for (x, y), _ in landmarks]]
@@ -118,9 +117,8 @@ def strayed(frame, parts):
     found = []
     for part, (mass, near) in enumerate(((eyes * left, 4.0), (eyes * ~left, 4.0), (lips, 8.0))):
         center = np.array([(mass * x).sum(), (mass * y).sum()]) / mass.sum()
-        found.append(
-            (np.hypot(*(center - parts[part])), (mass * (away[part] < near)).sum() / mass.sum())
-        )
+        there = (mass * (away[part] < near)).sum() / mass.sum()
+        found.append((np.hypot(*(center - parts[part])), there))
     return np.array(found).T
 
 
@@ -135,10 +133,9 @@ def test_a_portrait_keeps_eyes_and_mouth_at_every_time(device):
     for detail in ("layers", "particles"):
         for given in (landmarks, None):
             morph = clmorph.morph(a, b, landmarks=given, preset="photo", detail=detail, **options)
-            distances, shares = np.transpose([
-                strayed(morph.frame(t), (1 - t) * places + t * targets)
-                for t in np.linspace(0.0, 1.0, 5)
-            ], (1, 0, 2))  # fmt: skip
+            times = np.linspace(0.0, 1.0, 5)
+            parts = [strayed(morph.frame(t), (1 - t) * places + t * targets) for t in times]
+            distances, shares = np.stack(parts, axis=1)
             if given is None:
                 assert distances.max() > 2.0
             else:
@@ -186,13 +183,11 @@ def test_landmarks_are_in_pixels_of_the_given_pictures(device, rng):
 @pytest.mark.parametrize(
     ("landmarks", "told"),
     [
-        (
-            [((5, 5), (15, 15)), ((15, 15), (5, 5)), ((5, 15), (5, 15))],
-            "landmarks 1 and 2 contradict each other",
-        ),
+        ([((5, 5), (15, 15)), ((15, 15), (5, 5)), ((5, 15), (5, 15))], "1 and 2 contradict each"),
         ([((5, 5), (25, 5))], r"landmark 1 is at \(25, 5\), outside image_b of 20 x 18 pixels"),
         ([((-2, 5), (2, 5))], "outside image_a"),
         ([((5, 5), (5, 5)), ((5, 5.1), (9, 9))], "landmarks 1 and 2 contradict"),
+        ([((5, 5), (5, 5)), ((5, 5), (15, 5))], "landmarks 1 and 2 contradict"),
         ([((5, 5), (6, 6)), ((9, 9), (6, 6))], "landmarks 1 and 2 contradict"),
         ([((5, 5), (6,))], "entry 1: expected pairs of points in pixels"),
         ([((5, 5), (6, np.nan))], "entry 1"),
@@ -211,20 +206,14 @@ def test_landmarks_that_cannot_be_used(landmarks, told):
 def test_what_landmarks_exclude(rng):
     image = rng.random((8, 8, 3))
     landmarks = [((3, 3), (4, 4))]
+    options = {"n_frames": 2, "landmarks": landmarks, "backend": "numpy"}
     with pytest.raises(InputError, match="landmarks cannot be combined with a color_metric"):
-        plain.morph(
-            image, image, n_frames=2, landmarks=landmarks, color_metric=np.ones((8, 8)),
-            backend="numpy",
-        )  # fmt: skip
+        plain.morph(image, image, color_metric=np.ones((8, 8)), **options)
     with pytest.raises(InputError, match="4 x 4 pixels or more"):
         plain.morph(image[:1], image, n_frames=2, landmarks=[((3, 0), (4, 4))], backend="numpy")
     measure = guided(clmorph.lift(image), clmorph.lift(image), landmarks)[0]
-    for damaged in (
-        {"features": np.full((64, 1), np.nan)},
-        {"features": np.ones((64, 7))},
-        {"features": [[1.0]]},
-        {"warped": np.ones((3, 2))},
-    ):
+    features = np.full((64, 1), np.nan), np.ones((64, 7)), [[1.0]]
+    for damaged in (*({"features": each} for each in features), {"warped": np.ones((3, 2))}):
         with pytest.raises(InputError, match="source has"):
             check_measure("source", replace(measure, **damaged))
 
@@ -256,8 +245,7 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng, refuse
     assert written["none"] == written["bare"] != written["one"]
     known = read_parameters(tmp_path / "one.gif")["options"]["landmark"]
     assert known == [[[5.0, 5.0], [6.0, 6.0]], [[9.0, 7.0], [8.0, 8.0]]]
-    again = ["morph", "--config", "one.gif", "-o", "again.gif", "--backend", "numpy"]
-    assert main(again) == 0
+    assert main(["morph", "--config", "one.gif", "-o", "again.gif", "--backend", "numpy"]) == 0
     assert (tmp_path / "again.gif").read_bytes() == written["one"]
     capfd.readouterr()
     assert main(["morph", "--config", "one.gif", "--dump-config"]) == 0
@@ -279,7 +267,6 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng, refuse
     }.items():
         one = "morph", "a.png", "b.png", "-o", "x.gif", "--landmark", given
         assert told in refused(*one, *options)
-    chain = "morph", "a.png", "b.png", "c.png", "-o", "x.gif", "--landmark", "5,5:6,6"
-    told = refused(*chain, *options)
-    assert "landmarks of one morph given: expected those of 2 morphs" in told
+    chain = "morph", "a.png", "b.png", "c.png", "-o", "x.gif", "--landmark", "5,5:6,6", *options
+    assert "landmarks of one morph given: expected those of 2 morphs" in refused(*chain)
     assert not (tmp_path / "x.gif").exists()

@@ -44,25 +44,20 @@ def test_plan_agrees_with_the_reference(device, rng, metrics, kind):
 def test_a_map_of_equal_metrics_is_a_constant_one(rng):
     """And weighing color by pixel is the simplest map."""
     images = rng.random((9, 7, 3)), rng.random((6, 8, 3))
-    whole = plain.morph(*images, n_frames=2, color_weight=1.4, backend="numpy", tol=1e-6)
-    for metric in (
-        1.96 * np.eye(3),
-        np.full((9, 7), 1.96),
-        np.tile(1.96 * np.eye(3), (9, 7, 1, 1)),
-    ):
-        other = plain.morph(
-            *images, n_frames=2, color_weight=1.0, color_metric=metric, backend="numpy", tol=1e-6
-        )
+    options = {"n_frames": 2, "backend": "numpy", "tol": 1e-6}
+    whole = plain.morph(*images, color_weight=1.4, **options)
+    constant = 1.96 * np.eye(3)
+    for metric in (constant, np.full((9, 7), 1.96), np.tile(constant, (9, 7, 1, 1))):
+        other = plain.morph(*images, color_weight=1.0, color_metric=metric, **options)
         assert np.allclose(whole.potentials.f, other.potentials.f, atol=1e-7)
         assert np.abs(whole.frame(0.5) - other.frame(0.5)).max() < 1e-4
 
 
 def test_barycentric_and_samples_with_a_map(device, rng, metrics):
     images = rng.random((9, 7, 3)), rng.random((6, 8, 3))
+    usual = {"n_frames": 3, "color_weight": 1.0, "color_metric": metrics, "backend": device}
     for options in ({"barycentric": True}, {"sample": 4}):
-        result = plain.morph(
-            *images, n_frames=3, color_weight=1.0, color_metric=metrics, backend=device, **options
-        )
+        result = plain.morph(*images, **usual, **options)
         assert np.all(np.isfinite(result.frame(0.5)))
 
 

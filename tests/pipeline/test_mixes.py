@@ -204,11 +204,10 @@ def test_formats_that_hold_no_mixes(tmp_path):
 class TestCommand:
     @pytest.fixture
     def files(self, tmp_path):
-        names = []
-        for name, image in zip("abcd", FOUR, strict=True):
-            names.append(tmp_path / f"{name}.png")
-            Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(names[-1])
-        return [str(name) for name in names]
+        names = [str(tmp_path / f"{name}.png") for name in "abcd"]
+        for name, image in zip(names, FOUR, strict=True):
+            clmorph.write_image(name, image)
+        return names
 
     @pytest.mark.full
     def test_a_grid_in_one_picture(self, files, tmp_path, capsys):

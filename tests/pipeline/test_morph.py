@@ -52,7 +52,8 @@ def test_the_papers_threshold_agrees_with_the_reference(device, rng, tau):
 def test_the_papers_preset_keeps_the_pairs_of_the_dense_rule(device, size):
     """All of them and no others, with uniform weights 1 / N."""
     images = photographs((size, size))
-    got = clmorph.morph(*images, n_frames=2, backend=device, preset="paper")
+    options = {"n_frames": 2, "backend": device, "preset": "paper"}
+    got = clmorph.morph(*images, **options)
     assert np.all(got.source.weights == 1 / size**2)
     want = reference.transport_plan(got.source, got.target, got.potentials, log_threshold=-13.0)
     kept = np.zeros(want.shape, bool)
@@ -60,9 +61,7 @@ def test_the_papers_preset_keeps_the_pairs_of_the_dense_rule(device, size):
     assert np.array_equal(kept, want > 0)
     whole = reference.transport_plan(got.source, got.target, got.potentials)
     assert np.array_equal(kept, whole > np.exp(-13.0))
-    relative = clmorph.morph(
-        *images, n_frames=2, backend=device, preset="paper", log_threshold=None
-    )
+    relative = clmorph.morph(*images, log_threshold=None, **options)
     assert len(relative.plan) > 1.2 * len(got.plan)
 
 
@@ -179,5 +178,4 @@ def test_the_same_bytes_twice(device):
     images = photographs((32, 32))
     first, second = (morph(*images, n_frames=3, backend=device) for _ in range(2))
     assert np.array_equal(first.potentials.f, second.potentials.f)
-    for a, b in zip(first.frames, second.frames, strict=True):
-        assert a.tobytes() == b.tobytes()
+    assert np.array_equal(first.frames, second.frames)

@@ -87,17 +87,15 @@ def test_blocks_that_were_asked_for_stay_where_other_options_are_replaced():
 
 def test_pictures_are_reduced_by_default(rng):
     large = rng.random((40, 300, 3))
-    result = clmorph.morph(large, large[:, ::-1], n_frames=2, backend="numpy", solve_size=16)
+    options = {"n_frames": 2, "backend": "numpy"}
+    result = clmorph.morph(large, large[:, ::-1], solve_size=16, **options)
     assert result.source.shape == (34, 256)
     assert result.solved_sizes == (16, 16)
-    whole = clmorph.morph(
-        large, large, size=None, n_frames=2, backend="numpy", solve_size=16, barycentric=True
-    )
+    whole = clmorph.morph(large, large, size=None, solve_size=16, barycentric=True, **options)
     assert whole.source.shape == (40, 300)
-    small = clmorph.fit(large, 64)
-    clmorph.morph(  # the map is of the image that stays as it is
-        small, large, size=64, weights=(np.ones((9, 64)), None), n_frames=2, backend="numpy"
-    )
+    # The map is of the image that stays as it is.
+    maps = {"weights": (np.ones((9, 64)), None)}
+    clmorph.morph(clmorph.fit(large, 64), large, size=64, **maps, **options)
     for maps in ({"weights": (np.ones((40, 300)), None)}, {"color_metric": np.ones((40, 300))}):
         with pytest.raises(InputError, match="size=None"):
             clmorph.morph(large, large, backend="numpy", **maps)

@@ -2,11 +2,9 @@
 
 import json
 
-import numpy as np
 import pytest
 from drawn_pictures import logo, sprite
 from picture_pairs import picture
-from PIL import Image
 
 import clmorph
 from clmorph import InputError, MorphOptions
@@ -84,7 +82,7 @@ def files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, pair in kinds().items():
         for number, image in enumerate(pair):
-            Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(f"{name}{number}.png")
+            clmorph.write_image(f"{name}{number}.png", image)
     return tmp_path
 
 

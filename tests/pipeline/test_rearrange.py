@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
@@ -72,9 +71,8 @@ def test_same_image_stays():
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (6, 1), (7, 3)])
 def test_b_takes_the_size_of_a(shape):
-    found = clmorph.rearrange(
-        np.linspace(0, 1, shape[0] * shape[1]).reshape(shape), _images()[1], backend="numpy"
-    )
+    a = np.linspace(0, 1, shape[0] * shape[1]).reshape(shape)
+    found = clmorph.rearrange(a, _images()[1], backend="numpy")
     for t in (0.0, 0.3, 1.0):
         assert found.frame(t).shape == (*shape, 3)
         assert np.isfinite(found.frame(t)).all()
@@ -113,9 +111,9 @@ def test_an_empty_place_goes_on_as_a_does():
 
 
 def test_opaque_pixels_go_where_b_is_opaque():
-    opaque, clear = np.ones((6, 6, 4)), np.zeros((6, 6, 4))
-    left, right = np.split(np.concatenate([opaque, clear], axis=1), 2, axis=1)
-    a, b = np.concatenate([left, right], axis=1), np.concatenate([right, left], axis=1)
+    a = np.ones((6, 12, 4))
+    a[:, 6:] = 0.0
+    b = a[:, ::-1]
     last = clmorph.rearrange(a, b, color_weight=3.0, backend="numpy")[-1]
     np.testing.assert_array_equal(last[..., 3], b[..., 3])
 
@@ -196,14 +194,13 @@ def test_options_replace_their_alternatives():
 def test_command(tmp_path, monkeypatch, capfd, refused):
     monkeypatch.chdir(tmp_path)
     for name, image in zip("ab", _images(), strict=True):
-        Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(f"{name}.png")
+        clmorph.write_image(f"{name}.png", image)
     given = ["--frames", "3", "--backend", "numpy"]
     assert main(["rearrange", "a.png", "b.png", "-o", "out.gif", "--json", *given]) == 0
     summary = json.loads(capfd.readouterr().out)
     assert summary["frames"] == 3
     assert summary["assignments"][0]["cost"] <= 1.01 * summary["assignments"][0]["lower_bound"]
-    again = ["rearrange", "--config", "out.gif", "-o", "again.gif", "--backend", "numpy"]
-    assert main(again) == 0
+    assert main(["rearrange", "--config", "out.gif", "-o", "again.gif", "--backend", "numpy"]) == 0
     assert Path("again.gif").read_bytes() == Path("out.gif").read_bytes()
     assert main(["rearrange", "a.png", "b.png", "a.png", "-o", "frames", "--recipe", *given]) == 0
     assert len(list(Path("frames").glob("*.png"))) == 5
@@ -220,8 +217,6 @@ def test_command(tmp_path, monkeypatch, capfd, refused):
 
 
 def test_its_page_is_called_what_it_is(tmp_path):
-    image, other = _images(4, 5)
-    clmorph.rearrange(image, other, n_frames=3, backend="numpy").save(tmp_path / "a.html")
-    assert "<title>Rearrangement of " in (tmp_path / "a.html").read_text()
-    clmorph.morph(image, other, n_frames=3, backend="numpy").save(tmp_path / "b.html")
-    assert "<title>Morph of " in (tmp_path / "b.html").read_text()
+    for function, name in ((clmorph.rearrange, "Rearrangement"), (clmorph.morph, "Morph")):
+        function(*_images(4, 5), n_frames=3, backend="numpy").save(tmp_path / "a.html")
+        assert f"<title>{name} of " in (tmp_path / "a.html").read_text()

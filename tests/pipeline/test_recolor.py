@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import full
 from PIL import Image
+from skimage import data
 
 import clmorph
 from clmorph.cli.main import main
@@ -145,9 +147,8 @@ def test_opacity_is_kept_and_invisible_colors_do_not_count():
     hidden = np.dstack((b, np.ones((24, 24))))
     hidden[:12, :, 3] = 0.0
     of_half = clmorph.recolor(a, hidden, backend="numpy")
-    np.testing.assert_allclose(
-        of_half, clmorph.recolor(a, b[12:], backend="numpy"), rtol=0, atol=1e-9
-    )
+    want = clmorph.recolor(a, b[12:], backend="numpy")
+    np.testing.assert_allclose(of_half, want, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (3, 4)])
@@ -157,10 +158,8 @@ def test_small_pictures(shape):
         found = clmorph.recolor(a, like, backend="numpy")
         assert found.shape == (*shape, 3)
         assert 0 <= found.min() <= found.max() <= 1
-    np.testing.assert_allclose(
-        clmorph.recolor(a, np.full((1, 1, 3), 0.25), reach=None, backend="numpy").mean(),
-        0.25, atol=0.02,
-    )  # fmt: skip
+    found = clmorph.recolor(a, np.full((1, 1, 3), 0.25), reach=None, backend="numpy")
+    assert found.mean() == pytest.approx(0.25, abs=0.02)
 
 
 def test_gray_pictures_and_pictures_of_16_bits():
@@ -225,9 +224,8 @@ def test_large_pictures_are_sampled_and_recolored_in_parts(monkeypatch):
 def test_colors_beyond_srgb_keep_hue_and_lightness(space):
     rng = np.random.default_rng(0)
     inside = rng.random((200, 3))
-    np.testing.assert_allclose(
-        into_gamut(to_space(inside, space), space), inside, rtol=0, atol=1e-4
-    )
+    again = into_gamut(to_space(inside, space), space)
+    np.testing.assert_allclose(again, inside, rtol=0, atol=1e-4)
     far = 3.0 * (to_space(inside, space) - to_space([[0.5, 0.5, 0.5]], space))
     far += to_space([[0.5, 0.5, 0.5]], space)
     found = into_gamut(far, space)
@@ -267,15 +265,10 @@ def test_mistakes_are_named(wrong, words):
     assert "\n" not in str(caught.value)
 
 
-def as_bytes(name):
-    with Image.open(name) as picture:
-        return np.asarray(picture)
-
-
 def test_command(tmp_path, monkeypatch, capfd, refused):
     monkeypatch.chdir(tmp_path)
     for name, seed in (("photo.png", 0), ("like.png", 1)):
-        Image.fromarray(np.rint(255 * scene(seed)).astype(np.uint8)).save(name)
+        clmorph.write_image(name, scene(seed))
     mask = np.zeros((24, 24), np.uint8)
     mask[:12] = 255
     Image.fromarray(mask).save("mask.png")
@@ -284,11 +277,11 @@ def test_command(tmp_path, monkeypatch, capfd, refused):
     assert main(["recolor", *given, "-o", "out.png", "-o", "out.jpg", "--recipe"]) == 0
     summary = json.loads(capfd.readouterr().out)
     assert (summary["size"], summary["options"]["strength"]) == ([24, 24], 0.5)
-    before, after, like = map(as_bytes, ("photo.png", "out.png", "like.png"))
+    before, after, like = map(clmorph.read_image, ("photo.png", "out.png", "like.png"))
     np.testing.assert_array_equal(after[12:], before[12:])
-    assert np.abs(after[:12].astype(int) - before[:12]).mean() > 5
+    assert 255 * np.abs(after[:12] - before[:12]).mean() > 5
     want = clmorph.recolor(before, like, mask=mask, strength=0.5, backend="numpy")
-    np.testing.assert_array_equal(after, np.rint(255 * want).astype(np.uint8))
+    np.testing.assert_array_equal(np.rint(255 * after), np.rint(255 * want))
     assert json.loads(Path("out.png.json").read_text())["command"] == "recolor"
     for file in ("out.png", "out.jpg", "out.png.json"):
         assert clmorph.load_options(file) == clmorph.RecolorOptions(strength=0.5).as_dict()
@@ -311,3 +304,67 @@ def test_command(tmp_path, monkeypatch, capfd, refused):
         command = "morph" if "--morph" in wrong else "recolor"
         assert words in refused(command, *(word for word in wrong if word != "--morph"), *plain)
     assert not Path("x.png").exists()
+
+
+# --- noise near black is not amplified, and maps of other pictures hardly change ---------------
+
+PHOTOGRAPHS = "astronaut", "coffee", "rocket", "chelsea"
+
+
+def photograph(name):
+    return getattr(data, name)()[::6, ::6, :3] / 255
+
+
+def noisy(picture):
+    noise = np.random.default_rng(0).normal(0, 1.5 / 255, picture.shape)
+    return np.rint(255 * np.clip(picture + noise, 0, 1)) / 255
+
+
+def steps(values):
+    """How much neighbors differ: the deviation of their differences, whatever gradient there is."""
+    return np.diff(values, axis=1).std()
+
+
+@pytest.mark.parametrize("level", [0.0, 4 / 255, 8 / 255])
+@pytest.mark.parametrize("other", ["coffee", "astronaut"])
+def test_noise_near_black_is_not_amplified(device, level, other):
+    picture = photograph("chelsea")
+    picture[:25] = level
+    picture = noisy(picture)
+    found = clmorph.recolor(picture, photograph(other), backend=device)
+    assert np.abs(found - picture)[30:].mean() > 0.05
+    assert steps(found[:25]) <= 1.02 * steps(picture[:25])
+
+
+def test_a_mask_that_is_soft_is_limited_too():
+    picture = photograph("chelsea")
+    picture[:25] = 0.0
+    picture = noisy(picture)
+    mask = np.full(picture.shape[:2], 0.5)
+    mask[:, 40:] = 1.0
+    found = clmorph.recolor(picture, photograph("coffee"), mask=mask, backend="numpy")
+    assert steps(found[:25, :40]) <= 1.02 * steps(picture[:25, :40])
+    assert steps(found[:25, 40:]) <= 1.02 * steps(picture[:25, 40:])
+
+
+@pytest.mark.parametrize("pair", [(0, 1), *full((1, 2), (2, 3), (3, 0))])
+def test_maps_of_photographs_hardly_change(monkeypatch, pair):
+    a, b = (photograph(PHOTOGRAPHS[k]) for k in pair)
+    limited = clmorph.recolor(a, b, backend="numpy")
+    monkeypatch.setattr(module, "SLOPE_BETWEEN", 1e6)
+    monkeypatch.setattr(module, "DARK", 1e-9)
+    free = clmorph.recolor(a, b, backend="numpy")
+    # The astronaut has a sixth of its pixels near black.
+    assert 255 * np.abs(limited - free).mean() < (1.0 if pair == (0, 1) else 0.1)
+    bright = a.max(axis=2) > 0.4
+    np.testing.assert_array_equal(limited[bright], free[bright])
+
+
+def test_the_limit_is_continuous():
+    """From near black on no step between neighboring levels is steeper than 4 times a level."""
+    picture = photograph("chelsea")
+    picture[:25] = 0.0
+    ramp = np.full((40, *picture.shape[1:]), np.arange(40)[:, None, None] / 255)
+    both = np.vstack((noisy(picture), ramp))
+    look = clmorph.recolor(both, photograph("coffee"), backend="numpy")[-40:, 0]
+    assert 255 * np.abs(np.diff(look, axis=0)).max() < 4.01

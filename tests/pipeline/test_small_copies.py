@@ -7,13 +7,8 @@ from benching import photographs
 import clmorph
 from clmorph.pipeline import prepare
 
-OPTIONS = {
-    "preset": "photo",
-    "size": None,
-    "n_frames": 3,
-    "solve_size": 16,
-    "max_particles": 60_000,
-}
+OPTIONS = {"preset": "photo", "size": None, "n_frames": 3}
+OPTIONS |= {"solve_size": 16, "max_particles": 60_000}
 
 
 @pytest.fixture

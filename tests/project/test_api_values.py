@@ -5,12 +5,14 @@ import inspect
 from concurrent.futures import ThreadPoolExecutor
 from decimal import Decimal
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import api_values
 import numpy as np
 import pytest
 from api_values import cases, check, public_functions, single
+from marks import full
 
 import clmorph
 from clmorph import InputError
@@ -18,7 +20,7 @@ from clmorph.backends.interface import MAX_DIMENSION
 
 FUNCTIONS = public_functions()
 #: Those that take longest; the others show by default how values are checked.
-SLOW = {"quality.film_measures", "inspect", "Inspection.save", "mix", "barycenter"}
+SLOW = "quality.film_measures", "inspect", "Inspection.save", "mix", "barycenter"
 
 
 @pytest.fixture(autouse=True)
@@ -46,10 +48,7 @@ def test_no_function_and_no_argument_is_forgotten():
 
 @pytest.mark.filterwarnings("ignore::clmorph.ConvergenceWarning")
 @pytest.mark.in_turns
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(it, marks=[pytest.mark.full] if it in SLOW else []) for it in FUNCTIONS],
-)
+@pytest.mark.parametrize("name", [*full(*SLOW), *(it for it in FUNCTIONS if it not in SLOW)])
 def test_every_value_of_every_argument(name):
     check(name, api_values._call(FUNCTIONS[name], cases()[name], {}))
     messages = [check(description, call) for description, call in single(name, every=16)]
@@ -78,8 +77,7 @@ def test_numbers_of_any_kind_are_the_same_number(tmp_path):
         tol=np.float16(0.5), sample=Decimal(3), seed=np.uint8(7), max_particles=Fraction(64),
         max_memory=np.longdouble(1e9), backend="numpy",
     )  # fmt: skip
-    for ours, theirs in zip(plain.frames, odd.frames, strict=True):
-        assert np.array_equal(ours, theirs)
+    assert np.array_equal(plain.frames, odd.frames)
     assert odd.options == plain.options
     odd.save(tmp_path / "odd.npz")
     assert clmorph.load_options(tmp_path / "odd.npz") == plain.options.as_dict()
@@ -89,10 +87,8 @@ def test_seeds_are_exact():
     """Neighbors that float64 cannot tell apart draw differently."""
     source, target = PLAIN
     potentials = clmorph.sinkhorn(source, target, 0.5, backend="numpy")
-    drawn = [
-        clmorph.sample_plan(source, target, potentials, 200, seed=2**60 + add, backend="numpy")
-        for add in (0, 1)
-    ]
+    given = source, target, potentials, 200
+    drawn = [clmorph.sample_plan(*given, seed=2**60 + add, backend="numpy") for add in (0, 1)]
     assert not np.array_equal(drawn[0].mass, drawn[1].mass)
 
 
@@ -150,13 +146,10 @@ def test_potentials_of_other_measures_of_the_same_sizes():
     elsewhere = source[0], source[1] + 0.05
     heavier = 1.1 * source[0], source[1]
     for other in (elsewhere, heavier):
-        for call in (
-            lambda other: clmorph.transport_plan(other, target, potentials, backend="numpy"),
-            lambda other: clmorph.sample_plan(other, target, potentials, 2, backend="numpy"),
-            lambda other: clmorph.barycentric_plan(other, target, potentials, backend="numpy"),
-        ):
+        draw = partial(clmorph.sample_plan, draws=2)
+        for function in (clmorph.transport_plan, draw, clmorph.barycentric_plan):
             with pytest.raises(InputError, match="of other measures"):
-                call(other)
+                function(other, target, potentials, backend="numpy")
 
 
 def test_measures_that_callers_made_are_checked():
@@ -206,11 +199,8 @@ def test_an_array_in_any_form_is_the_same_array(change):
     want = clmorph.sinkhorn(*PLAIN, backend="numpy")
     source = change(PLAIN[0][0]), change(POINTS)
     assert np.array_equal(clmorph.sinkhorn(source, PLAIN[1], backend="numpy").f, want.f)
-
-
-def test_an_image_of_large_integers_in_the_other_byte_order():
-    native = np.arange(9, dtype=np.uint16).reshape(3, 3) * 7000
-    assert np.array_equal(clmorph.fit(native.astype(">u2"), 9), clmorph.fit(native, 9))
+    large = np.arange(9, dtype=np.uint16).reshape(3, 3) * 7000
+    assert np.array_equal(clmorph.fit(large.astype(">u2"), 9), clmorph.fit(large, 9))
 
 
 HOLES = np.ma.array(A, mask=A > 0.9)
@@ -252,7 +242,7 @@ def test_masked_entries_are_refused_everywhere(call):
 
 def test_dimensions_are_as_many_as_is_said(rng):
     most = MAX_DIMENSION
-    page = Path(__file__).parents[2] / "clmorph" / "transport" / "README.md"
+    page = Path(__file__).parents[2] / "clmorph/transport/README.md"
     assert f"1 to {most:,} dimensions" in page.read_text("utf-8")
     assert f"D from 1 to {most:,}." in clmorph.sinkhorn.__doc__
     assert f"any dimension up to {most:,}" in clmorph.measures.points.__doc__
@@ -269,9 +259,8 @@ def test_dimensions_are_as_many_as_is_said(rng):
 
 def test_one_morph_is_rendered_by_many_threads():
     rng = np.random.default_rng(0)
-    result = clmorph.morph(
-        rng.random((6, 6, 4)), rng.random((6, 5, 4)), n_frames=8, backend="numpy"
-    )
+    images = rng.random((6, 6, 4)), rng.random((6, 5, 4))
+    result = clmorph.morph(*images, n_frames=8, backend="numpy")
     fresh = dataclasses.replace(result)
     with ThreadPoolExecutor(4) as threads:
         together = list(threads.map(fresh.frame, result.times))

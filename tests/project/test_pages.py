@@ -42,6 +42,7 @@ README, CHANGES = "README.md", "CHANGELOG.md"
 #: The limits of the default preset, so much smaller that all commands together take seconds.
 #: Photographs are larger and their plans have more pairs all the same, as with its own limits.
 LIMITS = {"size": 48, "solve_size": 24, "max_particles": 12_000}
+TOOLS = "tests/project/test_tools.py"
 #: Commands that take minutes or install something: what runs them, and words that show it there.
 ELSEWHERE = {
     r"python3 -m venv .* && \.venv/bin/clmorph demo": (".ci/run", "readme_command 1"),
@@ -50,18 +51,12 @@ ELSEWHERE = {
     r"lint-imports": (".ci/run", "bin/lint-imports"),
     r"mypy": (".ci/run", "bin/mypy"),
     r"pytest": (".ci/run", "readme_command 2"),
-    r"python tools/fuzz\.py (images|configs|api) --count \d+": (
-        "tests/project/test_fuzz.py",
-        "fuzz.py",
-    ),
-    r"python tools/faults\.py .*": ("tests/project/test_tools_faults.py", "import faults"),
+    r"python tools/fuzz\.py (images|configs|api) --count \d+": (TOOLS, "fuzz.py"),
+    r"python tools/faults\.py .*": (TOOLS, "import faults"),
     r"python tools/cross_check\.py .*": ("tests/project/test_cross_check.py", "import cross_check"),
     r"clmorph batch .*": ("tests/batch/test_dask_batches.py", '["batch", '),
     r"python tools/site/build\.py .*": (".ci/run", "tools/site/build.py"),
-    r"python tools/compare_peers\.py .*": (
-        "tests/project/test_compare_peers.py",
-        "import compare_peers",
-    ),
+    r"python tools/compare_peers\.py .*": (TOOLS, "import compare_peers"),
 }
 PICTURES = {"a.png": "astronaut", "b.jpg": "coffee", "c.png": "chelsea", "d.jpg": "rocket"}
 
@@ -322,20 +317,9 @@ def photographs(side):
     return [clmorph.fit(clmorph.read_image(name), side) for name in ("a.png", "b.jpg")]
 
 
-def pipeline_names(names):
-    """What the reader of the second block about morphs from Python has."""
-    a, b = photographs(10)
-    return {"a": a, "b": b, "M": np.diag([1.0, 2.0, 1.0]), "map_a": np.ones(a.shape[:2])}
-
-
-def landmark_names(names):
-    """Two pictures that the landmarks of the page are in."""
-    return dict(zip(("face_a", "face_b"), photographs(40), strict=True))
-
-
-def label_names(names):
-    """Two pictures of the shapes that the blocks about labels and features have."""
-    return {"np": np} | dict(zip(("first", "second"), photographs(40), strict=True))
+def two(side, *names):
+    """Two photographs by the names that a page gives them."""
+    return dict(zip(names, photographs(side), strict=True))
 
 
 def solver_names(names):
@@ -356,12 +340,6 @@ def barycenter_names(names):
     places = ("bump_a", 0.3, 0.4), ("bump_b", 0.7, 0.6)
     bumps = {name: np.exp(-((x - a) ** 2 + (y - b) ** 2) / 0.02) for name, a, b in places}
     return {name: bump / bump.sum() for name, bump in bumps.items()}
-
-
-def map_names(names):
-    """What the reader has who maps points: some more points of the space of the measures."""
-    points = np.random.default_rng(7).random((30, names["target"].points.shape[1]))
-    return {"points": points}
 
 
 def many_names(names):
@@ -399,12 +377,6 @@ def density_names(names):
     return {"clmorph": clmorph, "histogram_a": first * total, "histogram_b": second}
 
 
-def interface_names(names):
-    """Samples in the plane."""
-    x = np.random.default_rng(0).random((2, 20, 2))
-    return {"X_a": x[0], "X_b": x[1]}
-
-
 def batch_names(names):
     """A client, whose scheduler and worker are threads of this process."""
     from distributed import Client
@@ -419,15 +391,26 @@ def batch_names(names):
 GIVEN = {
     ("clmorph/frames/README.md", "Densities"): density_names,
     ("clmorph/batch/README.md", "From Python"): batch_names,
-    ("clmorph/adapters/README.md", "Interfaces of other libraries"): interface_names,
+    ("clmorph/adapters/README.md", "Interfaces of other libraries"): lambda names: dict(
+        zip(("X_a", "X_b"), np.random.default_rng(0).random((2, 20, 2)), strict=True)
+    ),
     ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
-    ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
-    ("clmorph/pipeline/README.md", "Landmarks"): landmark_names,
-    ("clmorph/pipeline/README.md", "Labels"): label_names,
+    ("clmorph/pipeline/README.md", "What decides what moves, and how"): lambda names: {
+        **two(10, "a", "b"),
+        "M": np.diag([1.0, 2.0, 1.0]),
+        "map_a": np.ones((10, 10)),
+    },
+    ("clmorph/pipeline/README.md", "Landmarks"): lambda names: two(40, "face_a", "face_b"),
+    ("clmorph/pipeline/README.md", "Labels"): lambda names: {
+        "np": np,
+        **two(40, "first", "second"),
+    },
     ("clmorph/transport/README.md", "The solver alone"): solver_names,
     ("clmorph/transport/README.md", "Barycenters"): barycenter_names,
     ("clmorph/transport/README.md", "Many problems at once"): many_names,
-    ("clmorph/transport/README.md", "Maps"): map_names,
+    ("clmorph/transport/README.md", "Maps"): lambda names: {
+        "points": np.random.default_rng(7).random((30, names["target"].points.shape[1]))
+    },
 }
 #: Clients of Dask that a page has opened.
 OPEN = []

@@ -26,10 +26,8 @@ def test_a_selection_without_devices():
     """
     dropped = ("CLMORPH_TEST_REQUIRE", "CLMORPH_DEVICE", "PYOPENCL_CTX")
     environment = {name: value for name, value in os.environ.items() if name not in dropped}
-    done = run(
-        environment | {"OCL_ICD_VENDORS": "/nowhere"}, "tests/reference",
-        "tests/measures/test_measures.py", "tests/transport/test_plan.py",
-    )  # fmt: skip
+    some = "tests/reference", "tests/measures/test_measures.py", "tests/transport/test_plan.py"
+    done = run(environment | {"OCL_ICD_VENDORS": "/nowhere"}, *some)
     assert done.returncode == 0, done.stdout + done.stderr
     counts = {word: int(n) for n, word in re.findall(r"(\d+) (passed|skipped)", done.stdout)}
     assert counts["passed"] > 30
@@ -40,12 +38,6 @@ def test_a_selection_without_devices():
 def test_all_tests_are_collected_without_what_windows_lacks():
     """An error in one module would end the run there before its first test."""
     path = os.pathsep.join([str(ROOT / "tests/helpers"), os.environ.get("PYTHONPATH", "")])
-    done = run(
-        os.environ | {"PYTHONPATH": path},
-        "-p",
-        "without_posix",
-        "--collect-only",
-        "--full",
-        "tests",
-    )
+    options = "-p", "without_posix", "--collect-only", "--full"
+    done = run(os.environ | {"PYTHONPATH": path}, *options, "tests")
     assert done.returncode == 0, done.stdout[-3000:]

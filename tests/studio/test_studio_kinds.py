@@ -39,10 +39,8 @@ def painted_files(page):
 
 
 @pytest.mark.full
-def test_kinds_of_work(opened, pictures, place):
+def test_kinds_of_work(page, pictures, place):
     """Each tab of the page makes the same file as its command and its Python code."""
-    page = opened()
-    take(page, pictures)
     # By keyboard, as in all lists of tabs.
     page.focus("#kind-morph")
     page.keyboard.press("ArrowRight")
@@ -94,9 +92,7 @@ def test_kinds_of_work(opened, pictures, place):
 
 
 @pytest.mark.full
-def test_painted_regions_go_into_each_other(opened, pictures, place):
-    page = opened()
-    take(page, pictures)
+def test_painted_regions_go_into_each_other(page, pictures, place):
     previewed(page)
     before = frame(page, 0.5)
     page.check("#use-brush")
@@ -153,9 +149,7 @@ def test_painted_regions_go_into_each_other(opened, pictures, place):
 
 
 @pytest.mark.full
-def test_a_film_beside_a_fade_and_beside_the_settings_before(opened, pictures):
-    page = opened()
-    take(page, pictures)
+def test_a_film_beside_a_fade_and_beside_the_settings_before(page):
     previewed(page)
     page.evaluate("studio.state.view.contentWindow.clmorph.seek(0.5)")
     assert page.locator("#over option[value=previous]").is_disabled()

@@ -70,10 +70,8 @@ def test_a_chain_and_all_its_files(opened, pictures, place):
 
 
 @pytest.mark.full
-def test_the_command_is_that_of_a_run_whose_result_comes_before_its_answer(opened, pictures, place):
+def test_the_command_is_that_of_a_run_whose_result_comes_before_its_answer(page, pictures, place):
     """On a busy machine a small run ends before the answer to its request is read."""
-    page = opened()
-    take(page, pictures)
     previewed(page)
     page.evaluate(
         """() => { const plain = window.fetch;

@@ -120,9 +120,8 @@ def test_a_reload_keeps_pictures_points_settings_and_the_result(opened, pictures
     until(page, "!document.getElementById('downloads').hidden")
     until(page, "studio.state.shown === studio.state.number")
     assert asked == ["beforeunload"]
-    assert [each["name"] for each in page.evaluate("studio.state.pictures")] == [
-        path.name for path in pictures
-    ]
+    names = [each["name"] for each in page.evaluate("studio.state.pictures")]
+    assert names == [path.name for path in pictures]
     assert pairs(page) == marks
     assert page.input_value("#option-frames") == "4"
     assert page.evaluate("studio.state.view.contentWindow.clmorph.times.length") == 4
@@ -135,9 +134,7 @@ def test_a_reload_keeps_pictures_points_settings_and_the_result(opened, pictures
 
 
 @pytest.mark.full
-def test_undo_takes_settings_and_points_back(opened, pictures):
-    page = opened()
-    take(page, pictures)
+def test_undo_takes_settings_and_points_back(page):
     previewed(page)
     assert page.is_enabled("#undo") is False
     after(page, lambda: page.fill("#option-blur", "0.1"))
@@ -184,9 +181,7 @@ def test_pictures_that_are_chosen_while_the_page_loads(browser, port, pictures):
 
 
 @pytest.mark.full
-def test_a_still_is_the_frame_that_the_film_shows(opened, pictures):
-    page = opened()
-    take(page, pictures)
+def test_a_still_is_the_frame_that_the_film_shows(page, pictures):
     fill(page, size="24", frames="5", fps="1")
     run(page)
     page.evaluate(
@@ -206,9 +201,7 @@ def test_a_still_is_the_frame_that_the_film_shows(opened, pictures):
 def test_frames_are_drawn_once_for_all_files(tmp_path, rng, monkeypatch):
     drawn = []
     plainly = FrameRenderer.frame
-    monkeypatch.setattr(
-        FrameRenderer, "frame", lambda self, t: (drawn.append(t), plainly(self, t))[1]
-    )
+    monkeypatch.setattr(FrameRenderer, "frame", lambda of, t: drawn.append(t) or plainly(of, t))
     images = rng.random((2, 12, 12, 3))
     morph = clmorph.morph(*images, n_frames=4, preset="photo", backend="numpy")
     film = film_of([morph])

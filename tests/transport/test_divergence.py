@@ -11,11 +11,11 @@ from clmorph import InputError
 REACHES = [0.1, 0.5, 3.0, None]
 
 
-def clouds(rng, n=40, m=55, dimension=3, balanced=False):
-    a, b = rng.random(n), 2 * rng.random(m)
+def clouds(rng, balanced=False):
+    a, b = rng.random(40), 2 * rng.random(55)
     if balanced:
         a, b = a / a.sum(), b / b.sum()
-    return (a, rng.random((n, dimension))), (b, 0.3 + rng.random((m, dimension)))
+    return (a, rng.random((40, 3))), (b, 0.3 + rng.random((55, 3)))
 
 
 def dense_divergence(source, target, blur, reach):

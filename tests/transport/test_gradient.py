@@ -64,9 +64,7 @@ def test_value_against_differences(any_backend, rng, reach):
 @pytest.mark.parametrize("reach", [0.1, 0.4, 3.0, None])
 def test_divergence_against_differences(any_backend, rng, reach):
     pair = problem(rng, reach is None)
-    found = clmorph.sinkhorn_divergence(
-        *pair, 0.2, reach, 1e-6, 5000, any_backend, gradient=True
-    )  # fmt: skip
+    found = clmorph.sinkhorn_divergence(*pair, 0.2, reach, 1e-6, 5000, any_backend, gradient=True)
     check(found.gradient, lambda *moved: divergence(*moved, 0.2, reach), pair, rng, reach is None)
 
 
@@ -131,9 +129,8 @@ def test_no_gradient_of_other_problems(rng):
     with pytest.raises(InputError, match="gradient='yes'"):
         clmorph.sinkhorn_divergence(*pair, 0.2, 0.5, backend="numpy", gradient="yes")
     metric = np.tile(np.eye(3), (3, 3, 1, 1))
-    source, target = (
-        clmorph.lift(rng.random((3, 3, 3)), color_metric=each) for each in (metric, None)
-    )
+    source = clmorph.lift(rng.random((3, 3, 3)), color_metric=metric)
+    target = clmorph.lift(rng.random((3, 3, 3)))
     solved = clmorph.sinkhorn(source, target, 0.2, 0.5, backend="numpy")
     with pytest.raises(InputError, match="metric for each source pixel"):
         clmorph.gradient(source, target, solved, backend="numpy")
@@ -153,10 +150,8 @@ def test_a_batch_gives_what_a_loop_gives(any_backend, rng, reach):
         assert max(got.interval[0], want.interval[0]) <= min(got.interval[1], want.interval[1])
         largest = max(np.abs(getattr(want.gradient, name)).max() for name in NAMES)
         for name in NAMES:
-            np.testing.assert_allclose(
-                getattr(got.gradient, name), getattr(want.gradient, name),
-                rtol=0, atol=TOLERANCE * largest + 1e-7,
-            )  # fmt: skip
+            ours, theirs = (getattr(each.gradient, name) for each in (got, want))
+            np.testing.assert_allclose(ours, theirs, rtol=0, atol=TOLERANCE * largest + 1e-7)
     assert float(found[3]) == 0.0
     assert not found[3].gradient.source_points.any()
     assert clmorph.sinkhorn_divergence_batch([], [], 0.2, reach, backend="numpy") == []
@@ -171,11 +166,11 @@ def test_weights_of_measures_whose_points_hardly_share_mass(any_backend):
     pair = (weights, points[0]), (weights, points[1])
     direction = rng.normal(size=40)
     direction -= direction.mean()
-    values = [
+    more, less = (
         divergence((weights + step * direction, points[0]), pair[1], 0.05, None)
         for step in (1e-5, -1e-5)
-    ]
-    want = (values[0] - values[1]) / 2e-5
+    )
+    want = (more - less) / 2e-5
     options = {"blur": 0.05, "tol": 1e-6, "backend": any_backend, "gradient": True}
     # float32 ends the solve between both measures a little before
     (batched,) = clmorph.sinkhorn_divergence_batch([pair[0]], [pair[1]], **options)

@@ -77,8 +77,7 @@ def test_divergences_and_derivatives(pair, reach, any_backend):
     options = {"blur": 0.12, "reach": reach, "tol": 1e-7, "gradient": True}
     found = clmorph.sinkhorn_divergence(*grids, backend=any_backend, **options)
     want = clmorph.sinkhorn_divergence(*clouds, backend="numpy", **options)
-    low, high = (max(found.interval[0], want.interval[0]), min(found.interval[1], want.interval[1]))
-    assert low <= high
+    assert max(found.interval[0], want.interval[0]) <= min(found.interval[1], want.interval[1])
     for name in ("source_points", "source_weights", "target_points", "target_weights"):
         ours, theirs = (getattr(each.gradient, name) for each in (found, want))
         assert np.abs(ours - theirs).max() < 1e-5 * max(1.0, np.abs(theirs).max()), name

@@ -66,9 +66,7 @@ def masked_plan(source, target, labels, blur, reach, rounds=4000):
 )
 def test_no_mass_changes_its_label(any_backend, rng, form):
     a, b, labels = pictures(rng)
-    morph = plain.morph(
-        a, b, n_frames=2, labels=labels, tol=1e-2, backend=any_backend, **form
-    )  # fmt: skip
+    morph = plain.morph(a, b, n_frames=2, labels=labels, tol=1e-2, backend=any_backend, **form)
     assert leakage(morph.plan, labels) == 0.0
     assert morph.plan.mass.sum() > 0.4
     # Label 7 has no partner: it stays at its place and fades.
@@ -109,9 +107,8 @@ def test_mean_destinations_are_means_of_their_own_label(rng):
     a, b, labels = pictures(rng)
     b[..., 1] = labels[1] == 5
     for size in (None, 7):
-        morph = plain.morph(
-            a, b, n_frames=2, labels=labels, barycentric=True, solve_size=size, backend="numpy"
-        )
+        options = {"barycentric": True, "solve_size": size, "backend": "numpy"}
+        morph = plain.morph(a, b, n_frames=2, labels=labels, **options)
         own = labels[0].ravel()
         assert_allclose(morph.plan.colors[own == 5, 1], 1.0, atol=1e-6)
         assert_allclose(morph.plan.colors[own == 0, 1], 0.0, atol=1e-6)
@@ -137,20 +134,18 @@ def test_reduced_pictures_have_the_label_that_most_pixels_have(rng):
 
 def test_labels_with_landmarks_metrics_and_opacity(rng):
     a, b, labels = pictures(rng)
-    marks = [((5, 6), (8, 4))]
-    morph = plain.morph(
-        a, b, n_frames=2, labels=labels, landmarks=marks, color_weight=0.5, backend="numpy"
-    )
+    marks, options = [((5, 6), (8, 4))], {"n_frames": 2, "labels": labels, "backend": "numpy"}
+    morph = plain.morph(a, b, landmarks=marks, color_weight=0.5, **options)
     assert leakage(morph.plan, labels) == 0.0
     forth, _ = morph.plan.mean_destinations(morph.source.positions, morph.target.positions)
     corner = morph.target.positions.min(axis=0)
     assert np.hypot(*((forth[6 * 14 + 5] - corner) * 13 - (8, 4))) < 1.0
     metric = 1 + rng.random((12, 14))
-    morph = plain.morph(a, b, n_frames=2, labels=labels, color_metric=metric, backend="numpy")
+    morph = plain.morph(a, b, color_metric=metric, **options)
     assert leakage(morph.plan, labels) == 0.0
     clear = np.dstack((a, rng.integers(0, 2, (12, 14))))
     for form in ({}, {"solve_size": 7}, {"solve_size": 4, "sample": 3}):
-        morph = plain.morph(clear, b, n_frames=2, labels=labels, backend="numpy", **form)
+        morph = plain.morph(clear, b, **options, **form)
         assert leakage(morph.plan, labels) == 0.0
         assert not morph.plan.row_mass[clear[..., 3].ravel() == 0].any()
 
@@ -158,28 +153,21 @@ def test_labels_with_landmarks_metrics_and_opacity(rng):
 def test_balanced_labels_need_equal_masses(rng):
     a, b, labels = pictures(rng)
     labels[0][labels[0] == 7] = 0
+    options = {"n_frames": 2, "labels": labels, "reach": None, "blur": 0.1, "backend": "numpy"}
     with pytest.raises(InputError, match=r"label 0 has mass 0.821429 in image_a and 0.791667"):
-        plain.morph(a, b, n_frames=2, labels=labels, reach=None, backend="numpy")
-    maps = []
-    for each in labels:
-        inside = each == 5
-        maps.append(np.where(inside, 0.3 / inside.sum(), 0.7 / (~inside).sum()))
-    morph = plain.morph(
-        a, b, n_frames=2, labels=labels, weights=tuple(maps), reach=None, blur=0.1, backend="numpy"
-    )
+        plain.morph(a, b, **options)
+    inside = [each == 5 for each in labels]
+    maps = [np.where(each, 0.3 / each.sum(), 0.7 / (~each).sum()) for each in inside]
+    morph = plain.morph(a, b, weights=tuple(maps), **options)
     assert leakage(morph.plan, labels) == 0.0
     assert_allclose(morph.plan.marginals[0], maps[0].ravel(), rtol=2e-2)
     assert morph.potentials.marginal_error < 1e-2
     # In float32 the masses of a label are equal but for rounding.
     rounded = tuple(each.astype(np.float32) for each in maps)
-    plain.morph(
-        a, b, n_frames=2, labels=labels, weights=rounded, reach=None, blur=0.1, backend="numpy"
-    )
+    plain.morph(a, b, weights=rounded, **options)
+    some = np.where(a[..., 0] < 0.1, 7, 0), 0 * labels[1]
     with pytest.raises(InputError, match="label 7 has mass"):
-        plain.morph(
-            a, b, n_frames=2, labels=(np.where(a[..., 0] < 0.1, 7, 0), labels[1] * 0),
-            reach=(None, 0.3), backend="numpy",
-        )  # fmt: skip
+        plain.morph(a, b, **options | {"labels": some, "reach": (None, 0.3)})
 
 
 def test_inspection_measures_the_plan_that_a_morph_draws(rng):
@@ -238,10 +226,8 @@ def test_large_labels_go_through_coarser_problems(monkeypatch, rng):
     assert [part.label for part in found] == [0, 5]
     with monkeypatch.context() as changed:
         changed.setattr(softmin, "MANY_PAIRS", 1)
-        solved, whole = subproblems.solve_parts(
-            found, (source.mass, target.mass), given, clmorph.get_backend("numpy"),
-            lambda share: None,
-        )  # fmt: skip
+        masses, backend = (source.mass, target.mass), clmorph.get_backend("numpy")
+        solved, whole = subproblems.solve_parts(found, masses, given, backend, lambda share: None)
     assert whole.truncation is not None
     for part, potentials in zip(found, solved, strict=True):
         alone = clmorph.sinkhorn(*part.measures, 0.05, 0.3, backend="numpy")

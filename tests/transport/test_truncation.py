@@ -42,9 +42,7 @@ def test_everything_said_holds_over_all_pairs(backend, multiscale, seed, kind, b
     rng = np.random.default_rng(seed)
     pair = pair_of(kind, rng, *rng.integers(1, 200, 2))
     tol = 10 * budget
-    got = sinkhorn(
-        *pair, blur, reach, tol, 60, backend, truncation=budget, multiscale=multiscale
-    )  # fmt: skip
+    got = sinkhorn(*pair, blur, reach, tol, 60, backend, truncation=budget, multiscale=multiscale)
     assert got.truncation == budget
     assert 0 <= got.truncation_error <= budget + 1e-6
     assert 0 < got.visited <= 1
@@ -233,9 +231,7 @@ def test_clouds_of_a_large_solve_are_uploaded_once(device, monkeypatch, rng):
     """The number of pairs and the plan take those of the solve; other measures have their own."""
     pair, backend = pair_of("picture", rng, 500, 600), clmorph.get_backend(device)
     uploaded, upload = [], backend.upload
-    monkeypatch.setattr(
-        backend, "upload", lambda *cloud: (uploaded.append(len(cloud[0])), upload(*cloud))[1]
-    )
+    monkeypatch.setattr(backend, "upload", lambda x, *a: uploaded.append(len(x)) or upload(x, *a))
     found = clmorph.sinkhorn(*pair, 0.05, 0.3, truncation=1e-4, backend=backend)
     count = predict_pairs(*pair, found, rows=10, backend=backend)
     plan = clmorph.transport_plan(*pair, found, backend=backend)
