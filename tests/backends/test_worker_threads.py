@@ -10,8 +10,10 @@ from clmorph.backends.cancellation import Cancellation, Cancelled, check_cancell
 from clmorph.backends.threads import results_in_order
 
 
-def endless():
-    """Work until it is cancelled; fails the test after ten seconds."""
+def endless(started=None):
+    """Work until it is cancelled, after `started` is set; fails the test after ten seconds."""
+    if started is not None:
+        started.set()
     for _ in range(1000):
         check_cancelled()
         time.sleep(0.01)
