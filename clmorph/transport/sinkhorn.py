@@ -26,6 +26,9 @@ from clmorph.transport.options import AlgorithmOptions, Method, Precision, Reach
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Goal, refuses_other_order, regularization
 
+#: The residual that potentials may keep by their own rounding, relative to the largest one.
+SIZE_ROUNDING = 32 * np.finfo(float).eps
+
 
 @refuses_other_order
 def sinkhorn(
@@ -283,11 +286,15 @@ def _how(ended: Outcome) -> str:
         f"not converged after {ended.n_iter} iterations: {reached}, wanted {ended.goal.tol:.1e}"
     )
     other = "precision='auto'" if ended.goal.precision == "float32" else "'numpy'"
+    rounding, remedy = ended.rounding, f"raise tol or blur, or use {other}"
+    largest = max(float(np.abs(each).max()) for each in (ended.state.f, ended.state.g))
+    of_size = SIZE_ROUNDING * largest / ended.goal.epsilon
+    if of_size > rounding:  # a reach of many blurs makes such potentials
+        rounding, remedy = of_size, "raise tol, or use a smaller reach"
     return {
         "converged": f"converged in {ended.n_iter} iterations ({reached})",
         "max_iter": f"{missed}; raise max_iter, or use a larger blur or a smaller reach",
-        "precision": f"{missed}; rounding can leave {ended.rounding:.0e} here, so raise tol or "
-        f"blur, or use {other}",
+        "precision": f"{missed}; rounding can leave {rounding:.0e} here, so {remedy}",
     }[ended.status]
 
 

@@ -137,6 +137,8 @@ def test_masses_that_differ_at_a_large_reach(any_backend):
     potentials = sinkhorn(source, target, 0.05, 1e3, backend=any_backend)
     plan = reference.transport_plan(source, target, potentials)
     assert plan.sum() == pytest.approx(5**0.5, rel=2e-3)
+    with pytest.warns(ConvergenceWarning, match="use .*a smaller reach"):
+        sinkhorn(source, target, 0.05, 3e3, 1e-6, backend="numpy")
 
 
 def dual(problem_data, f, g, epsilon, rho):
