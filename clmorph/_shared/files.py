@@ -49,7 +49,7 @@ def check_place(target: str | PathLike[str]) -> Path:
     if str(target) == "-":
         raise OutputError(f"-: expected the name of a file, or {STANDARD_OUTPUT}")
     if is_standard_output(target):
-        if sys.__stdout__ is None:
+        if sys.__stdout__ is None or sys.stdout is None:
             raise OutputError("standard output is closed: pipe it into a program, or name a file")
         if sys.stdout.isatty():
             raise OutputError(

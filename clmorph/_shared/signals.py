@@ -88,7 +88,11 @@ class Ending:
         timer.start()
 
     def _again(self, number: int) -> None:
-        if _current is self:
+        if _current is not self:
+            return
+        if hasattr(signal, "pthread_kill"):  # it wakes the main thread where that waits, too
+            signal.pthread_kill(threading.main_thread().ident or 0, number)
+        else:
             _thread.interrupt_main(signal.Signals(number))
 
 

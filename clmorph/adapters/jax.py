@@ -94,7 +94,7 @@ def sinkhorn_divergence(
     check_shapes(*(each.shape for each in arrays))
     # What JAX would report as its own error is found here where it can be.
     if not any(isinstance(each, jax.core.Tracer) for each in arrays):
-        check_values(*arrays)
+        check_values(*(np.asarray(each, float) for each in arrays))
     one_regularization(blur, reach, epsilon, rho, tol, max_iter)
     get_backend(backend)
     options = {"blur": blur, "reach": reach, "tol": tol, "max_iter": max_iter,

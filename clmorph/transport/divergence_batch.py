@@ -227,12 +227,14 @@ class DivergenceMatrix:
 
     def __getitem__(self, pair: tuple[int, int]) -> Divergence:
         """Return the divergence of a pair of measures."""
-        if not isinstance(pair, tuple) or len(pair) != 2:
+        try:
+            first, second = pair
+        except (TypeError, ValueError):
             raise TypeError(
                 f"index {shown(pair)}: expected two, as in matrix[0, 1]; numpy.asarray(matrix) has "
                 "all values"
-            )
-        i, j = (place_of(number, len(self)) for number in pair)
+            ) from None
+        i, j = (place_of(number, len(self)) for number in (first, second))
         return combined(self._between(i, j), self._between(i, i), self._between(j, j))
 
     def _between(self, i: int, j: int) -> Potentials:

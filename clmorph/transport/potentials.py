@@ -235,6 +235,7 @@ class Potentials:
                 f"potentials, {self.blur:g} and {shown(self.reach)}"
             )
         source = own._measure(1, "own")
+        check_potentials("own", own, (n, len(source)))
         known = source if self.measures is None else self._measure(0, "potentials")
         if not (are_equal(own._measure(0, "own"), source) and are_equal(known, source)):
             raise InputError(

@@ -28,6 +28,8 @@ from clmorph.transport.regularization import Goal, refuses_other_order, regulari
 
 #: The residual that potentials may keep by their own rounding, relative to the largest one.
 SIZE_ROUNDING = 32 * np.finfo(float).eps
+#: Potentials of this many times the largest cost come from a reach of many blurs.
+LARGE_POTENTIALS = 4.0
 
 
 @refuses_other_order
@@ -289,7 +291,8 @@ def _how(ended: Outcome) -> str:
     rounding, remedy = ended.rounding, f"raise tol or blur, or use {other}"
     largest = max(float(np.abs(each).max()) for each in (ended.state.f, ended.state.g))
     of_size = SIZE_ROUNDING * largest / ended.goal.epsilon
-    if of_size > rounding:  # a reach of many blurs makes such potentials
+    large = largest > LARGE_POTENTIALS * float(np.max(ended.problem.largest_cost))
+    if of_size > rounding and large and ended.goal.reach is not None:
         rounding, remedy = of_size, "raise tol, or use a smaller reach"
     return {
         "converged": f"converged in {ended.n_iter} iterations ({reached})",

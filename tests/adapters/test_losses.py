@@ -127,6 +127,8 @@ def test_jax(any_backend, rng):
         loss(given[0], given[3])
     with pytest.raises(InputError, match="blur=-1"):
         clmorph.jax.sinkhorn_divergence(*given, -1)
+    rough = clmorph.jax.sinkhorn_divergence(*(jax.numpy.bfloat16(each) for each in given), 0.3, 0.5)
+    assert float(rough) == pytest.approx(want.value, rel=0.1)
     for many in (given, [np.stack([each] * 2) for each in given]):
         with pytest.raises(InputError, match="a coordinate is nan"):
             clmorph.jax.sinkhorn_divergence(many[0], many[1] * np.nan, *many[2:], 0.3)

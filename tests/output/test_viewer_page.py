@@ -673,6 +673,8 @@ def test_a_notebook(rng, show):
         button.click()
     frame.evaluate("clmorph.play()")  # if the click held a film that had just begun
     until(frame, "clmorph.index >= 1")
+    button.click()
+    until(frame, "!clmorph.playing")
     # Nothing of the notebook is within its reach.
     outside = "() => { try { return parent.document.title; } catch { return null; } }"
     assert frame.evaluate(outside) is None

@@ -124,9 +124,8 @@ def check_marginal(name: str, told: Array, mass: Array, nats: float) -> None:
     most = FOREIGN + np.expm1(min(nats, 100.0))
     if not float(np.abs(mass - told).sum()) <= most * max(float(told.sum()), float(mass.sum())):
         raise InputError(
-            f"{name} are of other measures: the plan of these has other marginals than "
-            "potentials.row_mass; expected the measures that they were computed for, in the "
-            "same order"
+            f"{name} are of other measures: the plan of these has other marginals than they "
+            "tell; expected the measures that they were computed for, in the same order"
         )
 
 
