@@ -64,6 +64,9 @@ class Output:
                     f"{path}: unknown ending {self.path.suffix!r}; expected "
                     f"{', '.join(usual_endings())}, or none for a folder of PNG frames"
                 )
+            named = f"film{self.path.name}"
+            if by_ending(Path(named)) not in (None, found):  # ".gif" alone
+                raise OutputError(f"{path}: a name is missing before the ending, as in {named}")
             self.format = found
         self.name = self.format.name
         if self.format.folder and is_standard_output(self.path):

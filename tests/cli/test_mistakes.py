@@ -60,6 +60,7 @@ FILES = [
 ]
 OUTPUTS = [
     ("a.png b.jpg -o x.mp3", "unknown ending '.mp3'"),
+    ("a.png b.jpg -o .gif", "a name is missing before the ending, as in film.gif"),
     ("a.png b.jpg -o x.jpeg", "expected .gif, .webp"),
     ("a.png b.jpg -o no/x.gif", "no folder"),
     ("a.png b.jpg -o a.png/x.gif", "no folder"),
